@@ -1,0 +1,96 @@
+"""The camera contract. Every model projects, unprojects and round-trips to 1e-6 px where valid.
+
+Pixel centres are at k + 0.5; camera frame x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+class Camera(ABC):
+    """A central camera of ``width`` x ``height`` pixels. Immutable.
+
+    ``mask`` (H, W) bool or None excludes pixels the lens or rig hides, on top of the model's own limits.
+    """
+
+    kind: ClassVar[str]
+    width: int
+    height: int
+    mask: NDArray[np.bool_] | None = None
+
+    @abstractmethod
+    def project(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
+        """Points (..., 3) in the camera frame -> pixels (..., 2) as (u, v) and valid (...,).
+
+        Valid means: inside the image and inside the model's domain. Pixels of invalid points may be anything.
+        """
+
+    @abstractmethod
+    def unproject(self, pixels: ArrayLike) -> Array:
+        """Pixels (..., 2) -> unit rays (..., 3); NaN where the model has no ray."""
+
+    @abstractmethod
+    def jacobian(self, points: ArrayLike) -> Array:
+        """d(u, v) / d(point), (..., 2, 3), at points (..., 3)."""
+
+    @abstractmethod
+    def scaled(self, width: int) -> Camera:
+        """The same view at another width (height follows the aspect ratio); the mask is resized too."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for camera.yaml: {"model": kind, "width": ..., "height": ..., ...} (mask not included)."""
+
+    @classmethod
+    @abstractmethod
+    def from_dict(cls, values: dict[str, Any]) -> Camera:
+        """Inverse of ``to_dict``. Raises CalibrationError for missing, unknown or impossible values."""
+
+    @abstractmethod
+    def with_mask(self, mask: NDArray[np.bool_] | None) -> Camera:
+        """A copy with another mask (H, W)."""
+
+    def pixel_grid(self) -> Array:
+        """Centres of all pixels, (H, W, 2)."""
+        u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
+        return np.stack([u, v], axis=-1)
+
+    @cached_property
+    def _rays(self) -> Array:
+        return self.unproject(self.pixel_grid())
+
+    def rays(self) -> Array:
+        """Unit rays of all pixel centres (H, W, 3); NaN where the model has none. Cached: do not write into it."""
+        return self._rays
+
+    def valid_mask(self) -> NDArray[np.bool_]:
+        """(H, W): the pixel has a ray, lies in the model's field of view and is not masked."""
+        valid = np.isfinite(self.rays()).all(axis=-1)
+        return valid if self.mask is None else valid & self.mask
+
+    def solid_angle(self) -> Array:
+        """(H, W) steradians covered by each pixel (0 where it has no ray); sums to the coverage.
+
+        Default: area of the two spherical triangles between the rays of the pixel's corners
+        (Van Oosterom & Strackee 1983).
+        """
+        u, v = np.meshgrid(np.arange(self.width + 1.0), np.arange(self.height + 1.0))
+        r = self.unproject(np.stack([u, v], axis=-1))
+        a, b, c, d = r[:-1, :-1], r[:-1, 1:], r[1:, 1:], r[1:, :-1]
+        area = spherical_triangle_area(a, b, c) + spherical_triangle_area(a, c, d)
+        return np.where(self.valid_mask(), np.nan_to_num(area), 0.0)
+
+
+def spherical_triangle_area(a: Array, b: Array, c: Array) -> Array:
+    """Solid angle of the triangle between unit vectors (..., 3) (Van Oosterom & Strackee 1983)."""
+    triple = np.abs(np.sum(a * np.cross(b, c), axis=-1))
+    denom = 1 + np.sum(a * b, axis=-1) + np.sum(b * c, axis=-1) + np.sum(c * a, axis=-1)
+    return np.asarray(2 * np.arctan2(triple, denom))

@@ -1,0 +1,23 @@
+"""Specs of the built-in depth estimators."""
+
+from panobench.specs import DepthSpec
+
+DEPTH_ESTIMATORS: tuple[DepthSpec, ...] = (
+    DepthSpec(
+        "bootstrap",
+        "plane sweep and alignment over the first frames; no weights",
+        "panobench.depth.bootstrap:BootstrapDepth",
+    ),
+    DepthSpec(
+        "oracle",
+        "the dataset's own depth (flagged in every report)",
+        "panobench.depth.simple:OracleDepth",
+        needs_dataset_depth=True,
+    ),
+    DepthSpec(
+        "constant",
+        "2 m everywhere, jittered by 0.3 m as MonoGS does",
+        "panobench.depth.simple:ConstantDepth",
+        argument="METRES",
+    ),
+)

@@ -1,0 +1,72 @@
+"""Errors a user can act on. The CLI prints their message on one line and exits with code 2.
+
+Anything that is not a ``PanobenchError`` is a bug and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class PanobenchError(Exception):
+    """Base of every error whose message tells the user what to do."""
+
+    exit_code = 2
+
+
+class UsageError(PanobenchError):
+    """An option or a combination of options that makes no sense."""
+
+
+class UnknownNameError(UsageError):
+    """A plugin, sequence or option name that nobody registered; suggests the nearest one."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        known = sorted(known)
+        close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+        hint = f"did you mean '{close[0]}'? " if close else ""
+        choices = ", ".join(known) if known else "none"
+        super().__init__(f"unknown {kind} '{name}': {hint}known: {choices}")
+        self.kind, self.name, self.known = kind, name, known
+
+
+class InputError(PanobenchError):
+    """Data that cannot be used; names the file and, where it has one, the line or frame."""
+
+    def __init__(
+        self,
+        message: str,
+        path: Path | str | None = None,
+        *,
+        line: int | None = None,
+        frame: int | str | None = None,
+    ) -> None:
+        where = "" if path is None else str(path)
+        if line is not None:
+            where += f":{line}"
+        if frame is not None:
+            where += f"{', ' if where else ''}frame {frame}"
+        super().__init__(f"{where}: {message}" if where else message)
+        self.path, self.line, self.frame = path, line, frame
+
+
+class CalibrationError(InputError):
+    """A calibration file that does not parse or contradicts itself."""
+
+
+class DatasetError(InputError):
+    """A dataset or sequence that is missing, incomplete or malformed."""
+
+
+class UnsupportedError(PanobenchError):
+    """A combination the method, camera or format cannot do; says which ones it can."""
+
+
+class UnavailableError(PanobenchError):
+    """Something registered that cannot run here; says in one line what is missing."""
+
+
+class MethodError(PanobenchError):
+    """A method broke its contract (wrong shapes, poses that are not rigid, ...)."""

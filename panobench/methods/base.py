@@ -1,0 +1,84 @@
+"""The method contract. A method sees frames and a camera, never ground truth; the framework times and scores it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.types import Estimate, Frame, Imu
+
+if TYPE_CHECKING:
+    from panobench.cameras.base import Camera
+    from panobench.datasets.base import Sequence
+    from panobench.depth.base import DepthEstimator
+
+
+def _silent(_: str) -> None:
+    return None
+
+
+@dataclass
+class MethodContext:
+    """What the framework gives a method when it starts.
+
+    seed:       all randomness must come from it.
+    work:       an empty folder it may write to; nothing outside it.
+    make_depth: makes a fresh depth estimator as chosen by --depth (None: the method was run without one).
+    imu:        inertial samples when the method's spec says it needs them.
+    poses:      camera-to-world poses by frame index, only for methods whose spec needs "poses".
+    log:        one line for the run's log.txt.
+    """
+
+    seed: int = 0
+    work: Path = field(default_factory=Path.cwd)
+    make_depth: Callable[[], DepthEstimator] | None = None
+    imu: Imu | None = None
+    poses: dict[int, NDArray[np.float64]] | None = None
+    log: Callable[[str], None] = _silent
+
+
+class OnlineMethod(ABC):
+    """Takes frames one by one. The constructor gets the config object named in its spec (or nothing)."""
+
+    def __init__(self, config: Any = None) -> None:
+        self.config = config
+
+    @abstractmethod
+    def start(self, camera: Camera, context: MethodContext) -> None:
+        """Called once before the first frame; ``camera`` is one of the kinds its spec accepts."""
+
+    @abstractmethod
+    def track(self, frame: Frame) -> NDArray[np.float64] | None:
+        """Camera-to-world pose (4, 4) of this frame, or None if not known yet or lost.
+
+        Frames with ``mappable`` False must be tracked only. A None may still be filled in by ``finish``.
+        """
+
+    @abstractmethod
+    def finish(self) -> Estimate:
+        """The final answer. Also called after Ctrl-C, with what was tracked so far."""
+
+    def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
+        """RGB (H, W, 3) in 0..1 seen from a pose in the method's own world; None if it has no such map."""
+        return None
+
+
+class BatchMethod(ABC):
+    """Takes a whole sequence at once (and sees neither its ground truth nor its depth)."""
+
+    def __init__(self, config: Any = None) -> None:
+        self.config = config
+
+    @abstractmethod
+    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+        """Process the sequence; files go below ``context.work``."""
+
+    def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
+        """As ``OnlineMethod.render``."""
+        return None

@@ -1,0 +1,5 @@
+"""Specs of the built-in methods."""
+
+from panobench.specs import MethodSpec
+
+METHODS: tuple[MethodSpec, ...] = ()

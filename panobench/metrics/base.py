@@ -1,0 +1,38 @@
+"""What a metric gets. A metric is a function from ``MetricInput`` to named numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.datasets.base import Sequence
+from panobench.types import Estimate
+
+#: Version of the evaluation protocol (docs/protocol.md); in every run.json.
+PROTOCOL_VERSION = "1.0"
+
+Render = Callable[[Camera, NDArray[np.float64]], "NDArray[np.float32] | None"]
+
+
+@dataclass
+class MetricInput:
+    """A finished run: the sequence with its truth, the estimate, and the method's renderer.
+
+    frames:   indices (into ``sequence``) that were given to the method.
+    holdout:  those of them that were never mapped.
+    latency:  seconds per frame given, same order as ``frames``.
+    renders:  folder where pictures for the report may be written, or None.
+    """
+
+    sequence: Sequence
+    estimate: Estimate
+    frames: list[int]
+    holdout: list[int] = field(default_factory=list)
+    latency: list[float] = field(default_factory=list)
+    render: Render | None = None
+    renders: Path | None = None

@@ -1,0 +1,5 @@
+"""Specs of the built-in metrics."""
+
+from panobench.specs import MetricSpec
+
+METRICS: tuple[MetricSpec, ...] = ()

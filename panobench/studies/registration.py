@@ -1,0 +1,5 @@
+"""Specs of the built-in studies."""
+
+from panobench.specs import StudySpec
+
+STUDIES: tuple[StudySpec, ...] = ()
