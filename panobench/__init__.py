@@ -19,6 +19,7 @@ _EXPORTS = {
         "DatasetError",
         "InputError",
         "MethodError",
+        "MethodTimeoutError",
         "PanobenchError",
         "UnavailableError",
         "UnknownNameError",

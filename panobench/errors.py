@@ -11,9 +11,13 @@ from pathlib import Path
 
 
 class PanobenchError(Exception):
-    """Base of every error whose message tells the user what to do."""
+    """Base of every error whose message tells the user what to do.
+
+    ``run_status`` is the RunStatus value of a run that this error ended.
+    """
 
     exit_code = 2
+    run_status = "crashed"
 
 
 class UsageError(PanobenchError):
@@ -63,10 +67,20 @@ class DatasetError(InputError):
 class UnsupportedError(PanobenchError):
     """A combination the method, camera or format cannot do; says which ones it can."""
 
+    run_status = "unsupported"
+
 
 class UnavailableError(PanobenchError):
     """Something registered that cannot run here; says in one line what is missing."""
 
+    run_status = "unavailable"
+
 
 class MethodError(PanobenchError):
     """A method broke its contract (wrong shapes, poses that are not rigid, ...)."""
+
+
+class MethodTimeoutError(MethodError):
+    """A method, or the program it started, took longer than its limit."""
+
+    run_status = "timeout"
