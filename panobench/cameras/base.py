@@ -74,7 +74,7 @@ class Camera(ABC):
     def valid_mask(self) -> NDArray[np.bool_]:
         """(H, W): the pixel has a ray, lies in the model's field of view and is not masked."""
         valid = np.isfinite(self.rays()).all(axis=-1)
-        return valid if self.mask is None else valid & self.mask
+        return np.asarray(valid if self.mask is None else valid & self.mask)
 
     def solid_angle(self) -> Array:
         """(H, W) steradians covered by each pixel (0 where it has no ray); sums to the coverage.
