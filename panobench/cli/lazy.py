@@ -1,0 +1,45 @@
+"""A command group that imports a command's module only when that command is invoked."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from panobench.cli.commands import COMMANDS
+
+
+def load_command(name: str) -> Any:
+    """The click command of ``panobench NAME``."""
+    module, summary = COMMANDS[name]
+    command = typer.main.get_command(importlib.import_module(module).app)
+    command.name = name
+    command.short_help = summary
+    return command
+
+
+class LazyGroup(TyperGroup):
+    """Lists commands from the table alone; ``resolve_command`` imports the one that is wanted."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A stand-in that knows the command's help line: enough for listing and completing names."""
+        if cmd_name not in COMMANDS:
+            return None
+        summary = COMMANDS[cmd_name][1]
+        return TyperCommand(cmd_name, help=summary, short_help=summary)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name = args[0]
+        if name in COMMANDS:
+            return name, load_command(name), args[1:]
+        if not name.startswith("-") and not ctx.resilient_parsing:
+            close = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
+            hint = f"did you mean '{close[0]}'? " if close else ""
+            ctx.fail(f"unknown command '{name}': {hint}known: {', '.join(COMMANDS)}")
+        return super().resolve_command(ctx, args)
