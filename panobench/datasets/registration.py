@@ -2,4 +2,28 @@
 
 from panobench.specs import DatasetSpec
 
-DATASETS: tuple[DatasetSpec, ...] = ()
+DATASETS: tuple[DatasetSpec, ...] = (
+    DatasetSpec(
+        "synpano",
+        "synthetic indoor panoramas with exact ground truth",
+        "panobench.datasets.synpano:SynPano",
+        publisher="the SynPano authors (the synthetic benchmark of the PanoGS-SLAM paper)",
+        layout="SCENE/images/*.{png,jpg} (2:1), SCENE/groundtruth.txt with rows 'frame_id image_name x y z qx qy qz "
+        "qw' in Blender camera axes, optional SCENE/depth/<stem>.{npy,png} and SCENE/novel/",
+    ),
+    DatasetSpec(
+        "folder",
+        "panobench's own sequence format, as `panobench convert` writes it",
+        "panobench.datasets.folder:Folder",
+        publisher="you",
+        layout="SEQUENCE/camera.yaml, SEQUENCE/images/, SEQUENCE/frames.csv (time,file), optional groundtruth.tum, "
+        "imu.csv, depth/, mask.png, meta.json",
+    ),
+    DatasetSpec(
+        "video",
+        "any equirectangular 360 video; no ground truth",
+        "panobench.datasets.video:Video",
+        publisher="you",
+        layout="FILE.mp4, or FOLDER/NAME.mp4 with --sequence NAME; optional NAME.mask.png (white = valid)",
+    ),
+)

@@ -1,0 +1,187 @@
+"""panobench's own sequence format: what `panobench convert` writes and anyone can write by hand.
+
+``camera.yaml``, ``images/``, ``frames.csv`` with columns time,file (seconds; path inside the sequence),
+optional ``groundtruth.tum`` (camera-to-world), ``imu.csv`` (time,wx,wy,wz,ax,ay,az),
+``depth/<stem>.npy|png`` (radial), ``mask.png`` (white = valid), ``meta.json``.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from panobench.cameras.base import Camera
+from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.image_sequence import ImageSequence, ImageSource
+from panobench.datasets.images import read_mask
+from panobench.datasets.locate import choose_sequence
+from panobench.datasets.trajectory_io import check_times, parse_floats, read_rows, read_table, read_tum
+from panobench.datasets.trajectory_match import match_to_times
+from panobench.errors import CalibrationError, DatasetError, UnknownNameError
+from panobench.plugins import registry
+from panobench.specs import CameraSpec
+from panobench.types import Imu, Trajectory
+
+#: A ground-truth row belongs to the frame whose time differs by at most this.
+TIME_TOLERANCE_S = 1e-3
+
+
+def camera_from_dict(values: dict[str, Any]) -> Camera:
+    """Any registered camera from the plain values of a camera.yaml. Raises CalibrationError."""
+    try:
+        spec = registry().get(CameraSpec, str(values.get("model")))
+    except UnknownNameError as error:
+        raise CalibrationError(str(error)) from None
+    camera: Camera = spec.load().from_dict(values)
+    return camera
+
+
+def read_camera(path: Path) -> Camera:
+    """A camera.yaml as ``SequenceWriter`` writes it. Raises CalibrationError naming the file."""
+    import yaml
+
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CalibrationError("the camera file is missing", path) from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        line = getattr(getattr(error, "problem_mark", None), "line", None)
+        raise CalibrationError("the file is not YAML", path, line=None if line is None else line + 1) from None
+    if not isinstance(values, dict):
+        raise CalibrationError("expected 'model: ...' and the camera's numbers", path)
+    try:
+        return camera_from_dict(values)
+    except CalibrationError as error:
+        if error.path is not None:
+            raise
+        raise CalibrationError(str(error), path) from None
+
+
+def read_imu_csv(path: Path) -> Imu:
+    """imu.csv: time,wx,wy,wz,ax,ay,az in s, rad/s and m/s^2. Raises DatasetError with file:line."""
+    table, lines = read_table(path, 7, "time,wx,wy,wz,ax,ay,az", delimiter=",", header=True, exact=True)
+    check_times(table[:, 0], path, lines)
+    return Imu(table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy())
+
+
+def groundtruth_at(path: Path, times: np.ndarray, tolerance: float = TIME_TOLERANCE_S) -> Trajectory:
+    """The poses of a TUM file that belong to frames at ``times``. Raises DatasetError if none does."""
+    truth = match_to_times(read_tum(path), times, tolerance)
+    if not len(truth):
+        raise DatasetError(f"no pose lies within {tolerance:g} s of a frame", path)
+    return truth
+
+
+def is_sequence(folder: Path) -> bool:
+    return (folder / "frames.csv").is_file() or (folder / "camera.yaml").is_file()
+
+
+def find_sequences(root: Path, depth: int = 3) -> list[str]:
+    """Sequences below ``root`` as relative paths, at most ``depth`` levels down; unfinished ones are skipped."""
+    found = []
+    for child in sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
+        if child.name.endswith(".partial"):
+            continue
+        if is_sequence(child):
+            found.append(child.name)
+        elif depth > 1:
+            found += [f"{child.name}/{name}" for name in find_sequences(child, depth - 1)]
+    return found
+
+
+class Folder(Dataset):
+    """Sequences in panobench's format below ``root``, or one as ``root`` itself."""
+
+    name = "folder"
+
+    def _at(self) -> Path:
+        if self.root is None:
+            raise DatasetError("dataset 'folder' needs --root PATH")
+        if self.root.name.endswith(".partial"):
+            raise DatasetError("this is an unfinished conversion; run the same `panobench convert` again", self.root)
+        return self.root
+
+    def sequences(self) -> list[str]:
+        root = self._at()
+        if not root.is_dir():
+            raise DatasetError("a panobench sequence is a folder, this is a file", root)
+        if is_sequence(root):
+            return [root.resolve().name]
+        names = find_sequences(root)
+        if not names:
+            raise DatasetError("no panobench sequence here: frames.csv, camera.yaml and images/ are expected", root)
+        return names
+
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+        root = self._at()
+        name = choose_sequence(self.name, sequence, self.sequences())
+        return ImageSequence(_read(root if is_sequence(root) else root / name, name), width)
+
+
+def _read(folder: Path, name: str) -> ImageSource:
+    camera = read_camera(folder / "camera.yaml")
+    frames_path = folder / "frames.csv"
+    times, images = _read_frames(frames_path, folder)
+    inputs = [folder / "camera.yaml", frames_path]
+    mask_path, truth_path, imu_path = folder / "mask.png", folder / "groundtruth.tum", folder / "imu.csv"
+    if mask_path.is_file():
+        camera = camera.with_mask(read_mask(mask_path, (camera.width, camera.height)))
+    present = {p.name: p for p in (folder / "depth").iterdir()} if (folder / "depth").is_dir() else {}
+    depth = {}
+    for index, image in enumerate(images):
+        file = present.get(image.stem + ".npy") or present.get(image.stem + ".png")
+        if file is not None:
+            depth[index] = file
+    return ImageSource(
+        dataset="folder",
+        name=name,
+        root=folder,
+        native=camera,
+        times=times,
+        images=images,
+        groundtruth=groundtruth_at(truth_path, times) if truth_path.is_file() else None,
+        imu=read_imu_csv(imu_path) if imu_path.is_file() else None,
+        depth=depth,
+        inputs=(*inputs, *(p for p in (mask_path, truth_path, imu_path) if p.is_file())),
+        notes=_source_note(folder / "meta.json"),
+    )
+
+
+def _read_frames(path: Path, folder: Path) -> tuple[np.ndarray, list[Path]]:
+    """Times (N,) and image paths of frames.csv."""
+    rows = read_rows(path, delimiter=",")
+    if rows and rows[0].fields[:2] == ["time", "file"]:
+        rows = rows[1:]
+    if not rows:
+        raise DatasetError("the sequence is empty: the file has no row", path)
+    times, images = [], []
+    for row in rows:
+        if len(row.fields) != 2:
+            raise DatasetError(f"the row has {len(row.fields)} values, expected 2: time,file", path, line=row.line)
+        times += parse_floats(row, row.fields[:1], path, "time,file")
+        relative = PurePosixPath(row.fields[1])
+        if relative.is_absolute() or ".." in relative.parts or not relative.parts:
+            raise DatasetError(f"'{row.fields[1]}' does not lie inside the sequence", path, line=row.line)
+        image = folder / relative
+        if not image.is_file():
+            raise DatasetError(f"image '{row.fields[1]}' is missing", path, line=row.line)
+        images.append(image)
+    stamps = np.array(times)
+    check_times(stamps, path, [row.line for row in rows])
+    return stamps, images
+
+
+def _source_note(path: Path) -> dict[str, Any]:
+    """What meta.json says about the conversion, for run.json (without its list of checksums)."""
+    if not path.is_file():
+        return {}
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise DatasetError("the file is not JSON", path) from None
+    if not isinstance(meta, dict):
+        raise DatasetError("expected a JSON object", path)
+    return {"meta": {k: v for k, v in meta.items() if k != "checksums"}}

@@ -1,0 +1,61 @@
+"""Where a dataset's files are: `--root`, else ``$PANOBENCH_DATA/NAME``; and what to say when they are not there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from panobench.errors import DatasetError, UnknownNameError
+from panobench.specs import DatasetSpec
+
+DATA_VARIABLE = "PANOBENCH_DATA"
+
+
+def describe(spec: DatasetSpec) -> str:
+    """What the dataset is, who publishes it and which layout is expected; a few lines of plain text."""
+    lines = [f"{spec.name}: {spec.summary}"]
+    if spec.publisher:
+        lines.append(f"published by: {spec.publisher}")
+    if spec.layout:
+        lines.append(f"expected layout: {spec.layout}")
+    if spec.needs_root:
+        lines.append(f"looked for under: --root PATH, else ${DATA_VARIABLE}/{spec.name}")
+    return "\n".join(lines)
+
+
+def _one_line(spec: DatasetSpec) -> str:
+    return "; ".join(describe(spec).splitlines())
+
+
+def locate(spec: DatasetSpec, root: Path | str | None = None) -> Path | None:
+    """The dataset's file or folder; None for a generator that was given none.
+
+    Raises DatasetError that describes the dataset when nothing is there.
+    """
+    if root is not None:
+        path = Path(root).expanduser()
+        if not path.exists():
+            raise DatasetError(f"no such file or folder (--root). {_one_line(spec)}", path)
+        return path
+    if not spec.needs_root:
+        return None
+    base = os.environ.get(DATA_VARIABLE)
+    if not base:
+        raise DatasetError(
+            f"dataset '{spec.name}' needs --root PATH (or ${DATA_VARIABLE}, which is not set). {_one_line(spec)}"
+        )
+    path = Path(base).expanduser() / spec.name
+    if not path.exists():
+        raise DatasetError(f"dataset '{spec.name}' is not there. {_one_line(spec)}", path)
+    return path
+
+
+def choose_sequence(kind: str, wanted: str | None, known: Iterable[str]) -> str:
+    """``wanted`` if known, else (for None) the first. Raises UnknownNameError with the nearest name."""
+    names = list(known)
+    if wanted is None and names:
+        return names[0]
+    if wanted not in names:
+        raise UnknownNameError(f"sequence of {kind}", str(wanted), names)
+    return str(wanted)

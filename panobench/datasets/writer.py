@@ -1,0 +1,240 @@
+"""Writing the panobench sequence format, whole or not at all, and resumable.
+
+``camera.yaml``, ``images/``, ``frames.csv`` (time, file), optional ``groundtruth.tum``, ``imu.csv``,
+``depth/``, ``mask.png`` and ``meta.json``. Everything is written under ``<name>.partial`` with a journal
+of finished frames and their checksums, and renamed into place at the end.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.datasets.checksums import sha256_bytes, sha256_file
+from panobench.datasets.images import encode_depth, encode_image
+from panobench.datasets.trajectory_io import tum_text
+from panobench.errors import DatasetError, UsageError
+from panobench.types import Imu, Trajectory
+
+FORMAT_VERSION = 1
+JOURNAL = "journal.jsonl"
+FORMATS = ("png", "jpg")
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """A finished frame: index in the source, time, files relative to the sequence and their SHA-256."""
+
+    index: int
+    time: float
+    files: dict[str, str]
+
+    @property
+    def image(self) -> str:
+        return next(name for name in self.files if name.startswith("images/"))
+
+
+@contextmanager
+def explained_disk_errors(path: Path) -> Iterator[None]:
+    """Turn "no space", "read-only" and the like into a DatasetError that says what to do."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise DatasetError(
+                "the disk is full; free some space and run the command again: it continues", path
+            ) from error
+        if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST):
+            raise DatasetError(f"cannot be written ({error.strerror})", path) from error
+        raise
+
+
+def imu_text(imu: Imu) -> str:
+    """The content of imu.csv: time in s, angular rate in rad/s, specific force in m/s^2."""
+    lines = ["time,wx,wy,wz,ax,ay,az"]
+    for t, w, a in zip(imu.times, imu.gyro, imu.accel):
+        lines.append(",".join([f"{t:.9f}", *(f"{x:.12g}" for x in (*w, *a))]))
+    return "\n".join(lines) + "\n"
+
+
+def camera_yaml(camera: Camera) -> str:
+    """The content of camera.yaml (the mask goes to mask.png)."""
+    import yaml
+
+    return str(yaml.safe_dump(camera.to_dict(), sort_keys=False))
+
+
+class SequenceWriter:
+    """Writes one sequence to ``path`` frame by frame; ``add`` may be called from several threads.
+
+    ``fingerprint`` says what is being written (any JSON values): a partial folder with the same one
+    is continued, with another one refused unless ``restart``. Raises UsageError if ``path`` exists.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        camera: Camera,
+        *,
+        image_format: str = "png",
+        fingerprint: dict[str, Any] | None = None,
+        restart: bool = False,
+    ) -> None:
+        if image_format not in FORMATS:
+            raise UsageError(f"image format '{image_format}': choose one of {', '.join(FORMATS)}")
+        self.path = path
+        self.partial = path.with_name(path.name + ".partial")
+        self.camera = camera
+        self._suffix = "." + image_format
+        self._lock = threading.Lock()
+        self._records: dict[int, FrameRecord] = {}
+        if path.exists():
+            raise UsageError(f"{path} exists already; remove it or choose another --out")
+        with explained_disk_errors(self.partial):
+            if restart and self.partial.exists():
+                shutil.rmtree(self.partial)
+            self._open_journal({"format": FORMAT_VERSION, "what": fingerprint or {}})
+
+    def _open_journal(self, head: dict[str, Any]) -> None:
+        head = json.loads(json.dumps(head))
+        journal = self.partial / JOURNAL
+        if journal.is_file():
+            lines = journal.read_text(encoding="utf-8").splitlines()
+            if not lines or _parse(lines[0]) != head:
+                raise UsageError(
+                    f"{self.partial} holds an unfinished sequence made with other options; "
+                    "remove it, or repeat those options to finish it"
+                )
+            for line in lines[1:]:
+                values = _parse(line)  # the last line may be cut short by a crash
+                if values is not None:
+                    record = FrameRecord(values["index"], values["time"], values["files"])
+                    if self._intact(record):
+                        self._records[record.index] = record
+            text = [json.dumps(head), *(_record_line(r) for r in self._records.values())]
+            replacement = self.partial / (JOURNAL + ".new")
+            replacement.write_text("\n".join(text) + "\n", encoding="utf-8")
+            os.replace(replacement, journal)
+        else:
+            if self.partial.exists() and any(self.partial.iterdir()):
+                raise UsageError(f"{self.partial} is in the way and is no unfinished sequence; remove it")
+            (self.partial / "images").mkdir(parents=True)
+            journal.write_text(json.dumps(head) + "\n", encoding="utf-8")
+
+    def _intact(self, record: FrameRecord) -> bool:
+        for name, checksum in record.files.items():
+            path = self.partial / name
+            if not path.is_file() or sha256_file(path) != checksum:
+                return False
+        return True
+
+    @property
+    def done(self) -> frozenset[int]:
+        """Indices of the frames that are written and whose checksums were right."""
+        return frozenset(self._records)
+
+    def add(
+        self,
+        index: int,
+        time: float,
+        image: NDArray[np.uint8],
+        depth: NDArray[np.float32] | None = None,
+    ) -> None:
+        """Write one frame: RGB (H, W, 3) of the camera's size, radial depth (H, W) or None."""
+        size = (self.camera.height, self.camera.width)
+        if image.shape[:2] != size:
+            raise ValueError(f"frame {index} is {image.shape}, the camera {size}")
+        contents = {f"images/{index:06d}{self._suffix}": encode_image(image, self._suffix)}
+        if depth is not None:
+            contents[f"depth/{index:06d}.npy"] = encode_depth(depth)
+        with explained_disk_errors(self.partial):
+            for name, data in contents.items():
+                target = self.partial / name
+                target.parent.mkdir(exist_ok=True)
+                target.write_bytes(data)
+            record = FrameRecord(index, float(time), {n: sha256_bytes(d) for n, d in contents.items()})
+            with self._lock, (self.partial / JOURNAL).open("a", encoding="utf-8") as journal:
+                journal.write(_record_line(record) + "\n")
+                self._records[index] = record
+
+    def finish(
+        self,
+        *,
+        groundtruth: Trajectory | None = None,
+        imu: Imu | None = None,
+        meta: dict[str, Any] | None = None,
+    ) -> Path:
+        """Write what describes the frames and rename the folder into place. Raises DatasetError without a frame."""
+        records = sorted(self._records.values(), key=lambda r: r.index)
+        if not records:
+            raise DatasetError("no frame was written", self.partial)
+        times = np.array([r.time for r in records])
+        if (np.diff(times) <= 0).any():
+            raise DatasetError("the frames' times do not increase", self.partial)
+        rows = ["time,file", *(f"{r.time:.9f},{r.image}" for r in records)]
+        checksums = {name: value for r in records for name, value in r.files.items()}
+        texts = {"camera.yaml": camera_yaml(self.camera), "frames.csv": "\n".join(rows) + "\n"}
+        if groundtruth is not None and len(groundtruth):
+            texts["groundtruth.tum"] = tum_text(groundtruth)
+        if imu is not None:
+            texts["imu.csv"] = imu_text(imu)
+        files = {name: text.encode("utf-8") for name, text in texts.items()}
+        if self.camera.mask is not None:
+            files["mask.png"] = encode_image(self.camera.mask, ".png")
+        checksums |= {name: sha256_bytes(data) for name, data in files.items()}
+        about = {"format": FORMAT_VERSION, **(meta or {}), "checksums": checksums}
+        files["meta.json"] = (json.dumps(about, indent=1) + "\n").encode()
+        with explained_disk_errors(self.partial):
+            for name, data in files.items():
+                (self.partial / name).write_bytes(data)
+            (self.partial / JOURNAL).unlink()
+            os.replace(self.partial, self.path)
+        return self.path
+
+
+def _record_line(record: FrameRecord) -> str:
+    return json.dumps({"index": record.index, "time": record.time, "files": record.files})
+
+
+def _parse(line: str) -> Any:
+    try:
+        return json.loads(line)
+    except ValueError:
+        return None
+
+
+def write_sequence(
+    path: Path,
+    camera: Camera,
+    frames: Iterable[tuple[float, NDArray[np.uint8], NDArray[np.float32] | None]],
+    *,
+    groundtruth: Trajectory | None = None,
+    imu: Imu | None = None,
+    meta: dict[str, Any] | None = None,
+    image_format: str = "png",
+) -> Path:
+    """Write a whole panobench sequence: frames are (time in s, RGB, radial depth or None), times increasing.
+
+    ``groundtruth`` holds camera-to-world poses at (some of) the frames' times. The folder appears
+    complete or not at all. Raises UsageError if it exists, DatasetError if it cannot be written.
+    """
+    writer = SequenceWriter(path, camera, image_format=image_format, restart=True)
+    try:
+        for index, (time, image, depth) in enumerate(frames):
+            writer.add(index, time, image, depth)
+        return writer.finish(groundtruth=groundtruth, imu=imu, meta=meta)
+    except BaseException:
+        shutil.rmtree(writer.partial, ignore_errors=True)
+        raise
