@@ -87,6 +87,7 @@ class MethodSpec(Spec):
 
     cameras: camera kinds it accepts, in order of preference. needs: of "rgb", "imu", "depth", "poses".
     config: "module:Dataclass" with its options; presets: name -> values that differ from the defaults.
+    deterministic: the same seed on the same machine gives the same answer to the bit.
     """
 
     kind: ClassVar[str] = "method"
@@ -99,6 +100,7 @@ class MethodSpec(Spec):
     install: str = ""
     config: str | None = None
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    deterministic: bool = True
     contract: str = CONTRACT_VERSION
 
 

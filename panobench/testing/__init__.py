@@ -1,0 +1,32 @@
+"""What a plugin's tests import: a tiny sequence, a fake camera, run helpers, fixtures and the conformance suite.
+
+In ``conftest.py``: ``from panobench.testing import fake_camera, rotating_sequence, tiny_sequence``.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+_EXPORTS = {
+    "panobench.testing.conformance": ("Check", "Options", "check_spec", "assert_conforms"),
+    "panobench.testing.cameras": ("FakeCamera",),
+    "panobench.testing.fixtures": ("fake_camera", "rotating_sequence", "tiny_sequence"),
+    "panobench.testing.running": ("MethodRun", "ate_rmse", "make_method", "rotation_error_deg", "run_method"),
+    "panobench.testing.sequences": (
+        "BlindSequence",
+        "GivenImages",
+        "TinySequence",
+        "erp_camera",
+        "rotating_pose",
+        "smooth_pose",
+    ),
+}
+_WHERE = {name: module for module, names in _EXPORTS.items() for name in names}
+__all__ = sorted(_WHERE)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'panobench.testing' has no attribute '{name}'")
+    return getattr(importlib.import_module(_WHERE[name]), name)

@@ -1,0 +1,148 @@
+"""The conformance suite: does a plugin keep the contract? Each check passes, fails or is skipped with a reason.
+
+``check_spec(spec)`` for one spec; ``assert_conforms(spec)`` in a plugin's own tests.
+"""
+
+from __future__ import annotations
+
+import re
+import traceback
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from panobench.errors import PanobenchError
+from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, Spec
+
+Outcome = Literal["pass", "fail", "skip"]
+NAME = re.compile(r"[a-z][a-z0-9_-]*")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding about one spec. message: what was seen; for a failure, what to change."""
+
+    spec: str
+    name: str
+    outcome: Outcome
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Options:
+    """root: data folder for a dataset that needs one. seed: given to methods and estimators."""
+
+    root: Path | None = None
+    seed: int = 7
+
+
+class Failed(Exception):
+    """Raised inside a check: the contract is broken, in the words shown to the author."""
+
+
+class Skipped(Exception):
+    """Raised inside a check: it does not apply or cannot run here."""
+
+
+def require(condition: object, message: str) -> None:
+    """Fail the current check unless ``condition`` holds."""
+    if not condition:
+        raise Failed(message)
+
+
+Checks = Iterable[tuple[str, Callable[[], "str | None"]]]
+
+
+def run_checks(label: str, checks: Checks) -> list[Check]:
+    """Run named functions one after the other; an exception they do not expect is a failure with its place."""
+    found = []
+    for name, function in checks:
+        try:
+            found.append(Check(label, name, "pass", function() or ""))
+        except Skipped as skipped:
+            found.append(Check(label, name, "skip", str(skipped)))
+        except Failed as failed:
+            found.append(Check(label, name, "fail", str(failed)))
+        except Exception as error:
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{Path(last.filename).name}:{last.lineno}"
+            found.append(Check(label, name, "fail", f"{type(error).__name__} at {place}: {error}"))
+    return found
+
+
+def check_spec(spec: Spec, options: Options | None = None) -> list[Check]:
+    """All checks for one spec. Never raises; a spec of a kind without a suite gets the general checks only."""
+    options = options or Options()
+    label = f"{spec.kind} '{spec.name}'"
+    found = run_checks(label, [("spec", lambda: _general(spec))])
+    reason: str | None = None
+    try:
+        reason = spec.unavailable()
+    except Exception as error:
+        return [*found, Check(label, "probe", "fail", f"{type(error).__name__}: {error}; a probe returns a reason")]
+    if reason is not None:
+        found.append(Check(label, "probe", "pass", f"cannot run here: {reason}"))
+    return found + run_checks(label, _suite(spec, options, reason))
+
+
+def assert_conforms(spec: Spec, options: Options | None = None) -> None:
+    """For a plugin's tests: AssertionError listing every failed check."""
+    failed = [c for c in check_spec(spec, options) if c.outcome == "fail"]
+    if failed:
+        raise AssertionError("\n".join(f"{c.spec}, {c.name}: {c.message}" for c in failed))
+
+
+def _general(spec: Spec) -> str | None:
+    require(NAME.fullmatch(spec.name), f"the name '{spec.name}' is not lower-case letters, digits, '-' and '_'")
+    require(spec.summary.strip(), "the summary is empty; `panobench list` shows it")
+    require("\n" not in spec.summary and len(spec.summary) <= 120, "the summary is one line of up to 120 characters")
+    module, colon, attribute = spec.implementation.partition(":")
+    require(colon and module and attribute, f"implementation '{spec.implementation}' is not 'package.module:Name'")
+    return None
+
+
+def _suite(spec: Spec, options: Options, unavailable: str | None) -> Checks:
+    if isinstance(spec, MethodSpec):
+        from panobench.testing.check_methods import method_checks
+
+        return method_checks(spec, options, unavailable)
+    if unavailable is not None:
+        return [("runs", lambda: _skip(unavailable))]
+    if isinstance(spec, CameraSpec):
+        from panobench.testing.check_cameras import camera_checks
+
+        return camera_checks(spec)
+    if isinstance(spec, DatasetSpec):
+        from panobench.testing.check_datasets import dataset_checks
+
+        return dataset_checks(spec, options)
+    if isinstance(spec, MetricSpec):
+        from panobench.testing.check_metrics import metric_checks
+
+        return metric_checks(spec)
+    if isinstance(spec, DepthSpec):
+        from panobench.testing.check_depth import depth_checks
+
+        return depth_checks(spec, options)
+    return [("loads", lambda: _loads(spec))]
+
+
+def _skip(reason: str) -> None:
+    raise Skipped(reason)
+
+
+def _loads(spec: Spec) -> None:
+    require(callable(spec.load()), f"{spec.implementation} is not callable")
+
+
+def same_clean_error(function: Callable[[], object], kinds: type[PanobenchError], what: str) -> None:
+    """Fail unless ``function`` raises one of ``kinds`` with a message on one line."""
+    try:
+        function()
+    except kinds as error:
+        require("\n" not in str(error), f"{what}: the message has more than one line")
+    except Exception as error:
+        raise Failed(f"{what}: raises {type(error).__name__}, must be {kinds.__name__}: {error}") from error
+    else:
+        raise Failed(f"{what}: nothing is raised, must be {kinds.__name__}")

@@ -1,0 +1,125 @@
+"""Run one method on one sequence in this process, the way the runner does, without a run folder."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets.base import Sequence
+from panobench.geometry import umeyama
+from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
+from panobench.specs import load_object
+from panobench.testing.sequences import BlindSequence
+from panobench.types import Estimate, Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from panobench.depth.base import DepthEstimator
+    from panobench.specs import MethodSpec
+
+
+@dataclass
+class MethodRun:
+    """live: pose or None per frame, as ``track`` returned it. latency: seconds per frame (batch: the whole / N)."""
+
+    estimate: Estimate
+    live: list[NDArray[np.float64] | None] = field(default_factory=list)
+    latency: list[float] = field(default_factory=list)
+    log: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+    idle_cpu_s: float = 0.0
+
+
+def make_method(spec: MethodSpec, preset: str | None = None, **options: Any) -> OnlineMethod | BatchMethod:
+    """The method of a spec with its preset's and the given options. Raises UnavailableError like ``Spec.load``."""
+    cls = spec.load()
+    if spec.config is None:
+        return cls()  # type: ignore[no-any-return]
+    config = load_object(spec.config, f"config of method '{spec.name}'")
+    return cls(config(**{**(spec.presets[preset] if preset else {}), **options}))  # type: ignore[no-any-return]
+
+
+def run_method(
+    method: OnlineMethod | BatchMethod,
+    sequence: Sequence,
+    *,
+    seed: int = 0,
+    work: Path | None = None,
+    make_depth: Callable[[], DepthEstimator] | None = None,
+    needs: tuple[str, ...] = ("rgb",),
+    idle_s: float = 0.0,
+) -> MethodRun:
+    """Feed a sequence to a method and return what it answered. What the method raises is not caught.
+
+    work: its work folder (default: one that is removed afterwards). needs: as in its spec; "imu", "poses" and
+    "depth" are handed over from the sequence. idle_s: pause after each frame; ``idle_cpu_s`` of the result is the
+    processor time used in those pauses, which a timing of ``track`` alone would miss.
+    """
+    if work is None:
+        with tempfile.TemporaryDirectory(prefix="panobench-") as folder:
+            return run_method(
+                method, sequence, seed=seed, work=Path(folder), make_depth=make_depth, needs=needs, idle_s=idle_s
+            )
+    log: list[str] = []
+    truth = sequence.groundtruth if "poses" in needs else None
+    poses = None if truth is None else dict(enumerate(truth.T_wc))
+    imu = sequence.imu if "imu" in needs else None
+    context = MethodContext(seed=seed, work=work, make_depth=make_depth, imu=imu, poses=poses, log=log.append)
+    if isinstance(method, BatchMethod):
+        blind = BlindSequence(sequence, imu="imu" in needs)
+        begin = time.perf_counter()
+        estimate = method.run(blind, context)
+        mean = (time.perf_counter() - begin) / max(1, len(sequence))
+        return MethodRun(estimate, latency=[mean] * len(sequence), log=log, asked=blind.asked)
+    run = MethodRun(Estimate(_nothing()), log=log)
+    method.start(sequence.camera, context)
+    for index, t in enumerate(sequence.times):
+        depth = sequence.depth(index) if "depth" in needs else None
+        frame = Frame(index, float(t), sequence.image(index), depth=depth, name=sequence.frame_name(index))
+        begin = time.perf_counter()
+        pose = method.track(frame)
+        run.latency.append(time.perf_counter() - begin)
+        run.live.append(pose)
+        if idle_s:
+            cpu = time.process_time()
+            time.sleep(idle_s)
+            run.idle_cpu_s += time.process_time() - cpu
+    run.estimate = method.finish()
+    return run
+
+
+def _nothing() -> Any:
+    from panobench.types import Trajectory
+
+    return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+
+
+def ate_rmse(run: MethodRun, sequence: Sequence) -> float:
+    """Position error in metres, RMSE after alignment (Sim(3), or SE(3) for a metric estimate) over tracked frames."""
+    truth = sequence.groundtruth
+    if truth is None:
+        raise ValueError("the sequence has no ground truth")
+    estimate = run.estimate.trajectory
+    target = truth.positions[np.searchsorted(truth.times, estimate.times - 1e-6)]
+    moved = umeyama(estimate.positions, target, with_scale=not run.estimate.metric).apply_points(estimate.positions)
+    return float(np.sqrt(((moved - target) ** 2).sum(axis=1).mean()))
+
+
+def rotation_error_deg(run: MethodRun, sequence: Sequence) -> float:
+    """Largest angle between estimated and true rotation, both relative to the first tracked frame, degrees."""
+    truth = sequence.groundtruth
+    if truth is None:
+        raise ValueError("the sequence has no ground truth")
+    estimate = run.estimate.trajectory
+    true = truth.T_wc[np.searchsorted(truth.times, estimate.times - 1e-6)][:, :3, :3]
+    R = estimate.T_wc[:, :3, :3]
+    relative = (R[0].T @ R).transpose(0, 2, 1) @ (true[0].T @ true)
+    cosine = (np.trace(relative, axis1=1, axis2=2) - 1) / 2
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1)).max()))

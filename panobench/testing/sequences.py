@@ -1,0 +1,167 @@
+"""Tiny synthetic sequences with exact truth: a textured box seen by any camera, in milliseconds, without files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets.base import Sequence
+from panobench.geometry import make_pose, so3_exp, so3_log
+from panobench.types import Imu, Trajectory
+
+if TYPE_CHECKING:
+    from panobench.cameras.base import Camera
+
+HALF_SIZE = np.array([2.5, 1.5, 2.0])  # of the room, metres
+GRAVITY = np.array([0.0, 9.81, 0.0])  # world axes as the camera's at rest: y points down
+
+
+def erp_camera(width: int = 128) -> Camera:
+    """A full equirectangular camera, made through the registry like any other."""
+    from panobench.plugins import registry
+    from panobench.specs import CameraSpec
+
+    cls = registry().get(CameraSpec, "erp").load()
+    camera: Camera = cls.from_dict({"model": "erp", "width": width, "height": width // 2})
+    return camera
+
+
+def smooth_pose(t: float) -> NDArray[np.float64]:
+    """(4, 4): a gentle loop with some yaw, pitch and roll; at most 0.5 m from the middle."""
+    R = so3_exp([0.10 * np.sin(1.7 * t), 0.45 * np.sin(0.8 * t), 0.06 * np.sin(1.1 * t)])
+    return make_pose(R, [0.5 * np.sin(0.9 * t), 0.1 * np.sin(1.3 * t), 0.4 * (1 - np.cos(0.9 * t))])
+
+
+def rotating_pose(t: float) -> NDArray[np.float64]:
+    """(4, 4): rotation about the camera's centre only, mostly yaw."""
+    return make_pose(so3_exp([0.08 * np.sin(1.3 * t), 0.6 * t, 0.05 * np.sin(0.9 * t)]), np.zeros(3))
+
+
+class TinySequence(Sequence):
+    """A box room with a smooth procedural texture, ray-cast in numpy; exact poses, depth and IMU.
+
+    pose: time in seconds -> ``T_wc``; ``smooth_pose`` or ``rotating_pose`` or your own (stay within the room,
+    half its size is ``HALF_SIZE``).
+    """
+
+    dataset = "testing"
+
+    def __init__(
+        self,
+        camera: Camera | None = None,
+        n: int = 8,
+        *,
+        rate: float = 10.0,
+        pose: Callable[[float], NDArray[np.float64]] = smooth_pose,
+        seed: int = 0,
+        name: str = "tiny",
+    ) -> None:
+        self.camera = camera if camera is not None else erp_camera()
+        self.times = np.arange(n) / rate
+        self.name = name
+        self._pose = pose
+        rng = np.random.default_rng(seed)
+        direction = rng.normal(size=(24, 3))
+        self._waves = direction * np.geomspace(2.0, 25.0, 24)[:, None] / np.linalg.norm(direction, axis=1)[:, None]
+        self._phases = rng.uniform(0, 2 * np.pi, size=(24, 3))
+        self._weights = 1.0 / np.linalg.norm(self._waves, axis=1) ** 0.5
+
+    def _hits(self, T_wc: NDArray[np.float64], rays: NDArray[np.float64]) -> tuple[Any, Any]:
+        """Distance (H, W) to the walls and the points hit (H, W, 3); NaN rays give NaN."""
+        directions = rays @ T_wc[:3, :3].T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = np.min((np.sign(directions) * HALF_SIZE - T_wc[:3, 3]) / directions, axis=-1)
+        return distance, T_wc[:3, 3] + distance[..., None] * directions
+
+    def pose_at(self, t: float) -> NDArray[np.float64]:
+        """True ``T_wc`` (4, 4) at any time."""
+        return np.asarray(self._pose(t))
+
+    def image_from(self, T_wc: NDArray[np.float64], camera: Camera | None = None) -> NDArray[np.uint8]:
+        """What a camera sees from any pose: RGB (H, W, 3) uint8, black where it has no ray."""
+        camera = camera or self.camera
+        _, points = self._hits(T_wc, camera.rays())
+        angle = points @ self._waves.T  # (H, W, K)
+        colour = np.stack([np.sin(angle + self._phases[:, c]) @ self._weights for c in range(3)], axis=-1)
+        value = 127.5 + 120 * np.tanh(4.0 * colour / self._weights.sum())
+        value[~camera.valid_mask()] = 0.0
+        return np.asarray(np.nan_to_num(value), dtype=np.uint8)
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self.image_from(self.pose_at(float(self.times[index])))
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        distance, _ = self._hits(self.pose_at(float(self.times[index])), self.camera.rays())
+        return np.asarray(np.where(self.camera.valid_mask(), distance, np.nan), dtype=np.float32)
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        return Trajectory(self.times, np.stack([self.pose_at(float(t)) for t in self.times]))
+
+    @property
+    def imu(self) -> Imu | None:
+        """200 Hz, camera axes, noise-free, from central differences of the pose."""
+        dt = 1e-3
+        times = np.arange(self.times[0], self.times[-1] + 1e-9, 1 / 200.0)
+        gyro, accel = np.zeros((len(times), 3)), np.zeros((len(times), 3))
+        for i, t in enumerate(times):
+            before, now, after = (self.pose_at(float(t + k * dt)) for k in (-1, 0, 1))
+            gyro[i] = so3_log(before[:3, :3].T @ after[:3, :3]) / (2 * dt)
+            acceleration = (before[:3, 3] - 2 * now[:3, 3] + after[:3, 3]) / dt**2
+            accel[i] = now[:3, :3].T @ (acceleration - GRAVITY)
+        return Imu(times, gyro, accel)
+
+    def provenance(self) -> dict[str, Any]:
+        return {"generator": "panobench.testing", "frames": len(self)}
+
+
+class GivenImages(Sequence):
+    """Chosen images at 10 frames/s, without any truth: for black, grey, repeated or odd input."""
+
+    dataset = "testing"
+
+    def __init__(self, camera: Camera, images: list[NDArray[np.uint8]], name: str = "given") -> None:
+        self.camera, self._images, self.name = camera, images, name
+        self.times = np.arange(len(images)) / 10.0
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self._images[index].copy()
+
+
+class BlindSequence(Sequence):
+    """What a batch method may see of a sequence: no ground truth, depth or novel views; remembers who asked.
+
+    ``asked`` lists the names of the truths that were asked for.
+    """
+
+    def __init__(self, inner: Sequence, *, imu: bool = False) -> None:
+        self._inner, self._imu = inner, imu
+        self.camera, self.times = inner.camera, inner.times
+        self.name, self.dataset = inner.name, inner.dataset
+        self.asked: list[str] = []
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self._inner.image(index)
+
+    def frame_name(self, index: int) -> str:
+        return self._inner.frame_name(index)
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        self.asked.append("depth")
+        return None
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        self.asked.append("groundtruth")
+        return None
+
+    @property
+    def imu(self) -> Imu | None:
+        return self._inner.imu if self._imu else None
+
+    def novel_views(self) -> list[Any]:
+        self.asked.append("novel_views")
+        return []
