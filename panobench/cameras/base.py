@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from panobench.cameras.seams import Seams
 
 Array = NDArray[np.float64]
 
@@ -22,6 +25,8 @@ class Camera(ABC):
     """
 
     kind: ClassVar[str]
+    #: Widths that ``scaled`` takes are multiples of this.
+    width_step: ClassVar[int] = 1
     width: int
     height: int
     mask: NDArray[np.bool_] | None = None
@@ -57,6 +62,12 @@ class Camera(ABC):
     @abstractmethod
     def with_mask(self, mask: NDArray[np.bool_] | None) -> Camera:
         """A copy with another mask (H, W)."""
+
+    def seams(self) -> Seams:
+        """What lies beyond the image's borders, for interpolation; by default nothing."""
+        from panobench.cameras.seams import Seams
+
+        return Seams(self.width, self.height)
 
     def pixel_grid(self) -> Array:
         """Centres of all pixels, (H, W, 2)."""

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from panobench.cameras.base import Array
 from panobench.cameras.parametric import ParametricCamera, as_pixels, as_points, stack_jacobian
+from panobench.cameras.seams import PanoramaSeams
 from panobench.errors import CalibrationError
 from panobench.geometry import directions_from_lonlat, lonlat_from_directions
 
@@ -27,6 +28,7 @@ class ErpCamera(ParametricCamera):
     """
 
     kind = "erp"
+    width_step = 2
 
     hfov_deg: float = 360.0
     lat_min_deg: float = -90.0
@@ -95,6 +97,9 @@ class ErpCamera(ParametricCamera):
         edges = np.sin((0.5 - np.arange(self.height + 1) / self.height) * np.pi)
         row = (edges[:-1] - edges[1:]) * (2 * np.pi / self.width)
         return np.where(self.valid_mask(), row[:, None], 0.0)
+
+    def seams(self) -> PanoramaSeams:
+        return PanoramaSeams(self.width, self.height)
 
     def _scaled_numbers(self, sx: float, sy: float) -> dict[str, Any]:
         return {}

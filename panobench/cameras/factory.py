@@ -1,0 +1,159 @@
+"""Cameras from plain values, and from what users type after `--camera` and `--to`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from panobench.cameras.base import Array, Camera
+from panobench.cameras.views import PAPER_FOV_DEG, view_rotation
+from panobench.errors import CalibrationError, UnknownNameError, UnsupportedError, UsageError
+
+
+class CameraChoice(NamedTuple):
+    """A target camera, its rotation from the source's axes, and a name for files and reports."""
+
+    camera: Camera
+    R_target_source: Array
+    label: str
+
+
+def camera_from_dict(values: dict[str, Any]) -> Camera:
+    """The camera that ``to_dict`` described; its "model" is any registered camera. Raises CalibrationError."""
+    from panobench.plugins import registry
+    from panobench.specs import CameraSpec
+
+    if not isinstance(values, dict):
+        raise CalibrationError(f"a camera is a table of values, not {type(values).__name__}")
+    model = values.get("model")
+    if not isinstance(model, str):
+        raise CalibrationError("a camera needs a 'model', for example erp or pinhole")
+    specs = registry().specs(CameraSpec)
+    if model not in specs:
+        raise CalibrationError(str(UnknownNameError("camera model", model, specs)))
+    camera: Camera = specs[model].load().from_dict(values)
+    return camera
+
+
+def parse_fov(text: str | float | tuple[float, float] | None) -> tuple[float, float | None] | None:
+    """ "120" or "120x60" -> horizontal and vertical field of view in degrees (None where not given)."""
+    if text is None:
+        return None
+    parts = text.lower().split("x") if isinstance(text, str) else np.atleast_1d(text).tolist()
+    try:
+        values = [float(p) for p in parts]
+    except ValueError:
+        values = []
+    if len(values) not in (1, 2) or not all(0 < v <= 360 for v in values):
+        raise UsageError(f"a field of view is written 120 or 120x60 (degrees), not '{text}'")
+    return values[0], values[1] if len(values) == 2 else None
+
+
+def upright_rotation(camera: Camera) -> Array:
+    """R_upright_camera (3, 3): from a camera's axes to axes in which its panorama stands upright.
+
+    An annular lens (`pal`) is mounted with its axis vertical: its horizon is what other cameras call front. An ERP ray
+    (x, y, z) is (x, z, -y) in its axes. Other cameras are upright already.
+    """
+    return view_rotation("up").T if camera.kind == "pal" else np.eye(3)
+
+
+def parse_camera_option(
+    option: str,
+    source: Camera,
+    width: int | None = None,
+    fov: str | float | tuple[float, float] | None = None,
+) -> CameraChoice:
+    """What `--camera` means for a source: MODEL, MODEL:VIEW or a calibration file.
+
+    VIEW is front, left, right, back, up, down or LON,LAT in degrees, relative to the upright source; ``width`` in
+    pixels defaults to what keeps the source's angular resolution in the middle; ``fov`` is "120" or "120x60" degrees.
+    The source's own model without a view, width or field of view is the source itself.
+    Raises UnknownNameError, UsageError, UnsupportedError; CalibrationError for a file that cannot be used.
+    """
+    angles = parse_fov(fov)
+    path = Path(option)
+    if path.suffix.lower() in {".yaml", ".yml", ".txt"}:
+        return _from_file(path, source, width, angles)
+    model, _, view = option.partition(":")
+    maker = _MAKERS.get(model)
+    if maker is None:
+        return _registered(model, source, width)
+    if model == source.kind and not view and angles is None:
+        return CameraChoice(source if width is None else source.scaled(width), np.eye(3), model)
+    R_view = view_rotation(view or ("up" if model == "pal" else "front"))
+    camera = maker(source, width, angles)
+    return CameraChoice(camera, R_view @ upright_rotation(source), f"{model}-{view}" if view else model)
+
+
+def pixels_per_radian(camera: Camera) -> float:
+    """Angular resolution in the middle of what the camera sees: 1 / sqrt(median solid angle of a pixel)."""
+    small = camera.with_mask(None)
+    if small.width > 256:
+        small = small.scaled(max(1, 256 // small.width_step) * small.width_step)
+    area = small.solid_angle()
+    return float(camera.width / small.width / np.sqrt(np.median(area[area > 0])))
+
+
+def _erp(source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> Camera:
+    from panobench.cameras.erp import ErpCamera
+
+    if width is None:
+        # The largest power of two that does not invent resolution.
+        width = 1 << max(6, int(np.log2(2 * np.pi * pixels_per_radian(source) * 1.05)))
+    if width % 2:
+        raise UsageError(f"a panorama's width must be even, not {width}")
+    horizontal, vertical = fov or (360.0, None)
+    half = 90.0 if vertical is None else vertical / 2
+    if half > 90:
+        raise UsageError(f"a panorama's vertical field of view is at most 180 degrees, not {2 * half:g}")
+    return ErpCamera(width, width // 2, horizontal, -half, half)
+
+
+def _pinhole(source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> Camera:
+    from panobench.cameras.pinhole import PinholeCamera
+
+    horizontal, vertical = fov or PAPER_FOV_DEG
+    if horizontal >= 180 or (vertical or 0) >= 180:
+        raise UnsupportedError(f"a pinhole view covers less than 180 degrees, not {fov}; use erp or fisheye")
+    if vertical is None:  # the paper's aspect
+        vertical = horizontal * PAPER_FOV_DEG[1] / PAPER_FOV_DEG[0]
+    if width is None:
+        width = _multiple(2 * np.tan(np.deg2rad(horizontal) / 2) * pixels_per_radian(source), 16)
+    return PinholeCamera.from_fov(width, horizontal, vertical)
+
+
+def _multiple(value: float, step: int) -> int:
+    return max(1, round(value / step)) * step
+
+
+def _registered(model: str, source: Camera, width: int | None) -> CameraChoice:
+    """A model that needs a calibration can only be the source's own."""
+    from panobench.plugins import registry
+    from panobench.specs import CameraSpec
+
+    registry().get(CameraSpec, model)
+    if model != source.kind:
+        raise UnsupportedError(
+            f"'{model}' has no standard parameters: name a calibration file instead, or one of {', '.join(_MAKERS)}"
+        )
+    return CameraChoice(source if width is None else source.scaled(width), np.eye(3), model)
+
+
+def _from_file(path: Path, source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> CameraChoice:
+    from panobench.cameras.calibration import read_calibration
+
+    if fov is not None:
+        raise UsageError("a field of view cannot be given together with a calibration file")
+    camera = read_calibration(path)
+    R = upright_rotation(camera).T @ upright_rotation(source)
+    return CameraChoice(camera if width is None else camera.scaled(width), R, path.stem)
+
+
+_MAKERS: dict[str, Callable[[Camera, int | None, tuple[float, float | None] | None], Camera]] = {
+    "erp": _erp,
+    "pinhole": _pinhole,
+}

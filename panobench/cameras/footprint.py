@@ -1,0 +1,60 @@
+"""How large a target pixel is in the source image: decides how much to filter before sampling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from panobench.cameras.base import Array, Camera
+
+#: Source pixels between neighbouring samples above which aliasing shows.
+_MAX_STEP = 1.6
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Shrink the source by ``shrink`` (area filter), then take ``grid`` x ``grid`` samples in each target pixel."""
+
+    shrink: int = 1
+    grid: int = 1
+
+
+def stretch(source: Camera, target: Camera, R_target_source: Array, samples: int = 128) -> tuple[Array, Array]:
+    """Source pixels per target pixel along the target's rows and columns, (n,) each, on a coarse grid.
+
+    Uses the source's Jacobian, so seams do not matter. A panorama's columns count by their arc, cos(lat) of what
+    they are at the equator: near the poles its extra columns carry no detail.
+    """
+    u = (np.arange(min(samples, target.width)) + 0.5) * max(1.0, target.width / samples)
+    v = (np.arange(min(samples, target.height)) + 0.5) * max(1.0, target.height / samples)
+    centre = np.stack(np.meshgrid(u, v), axis=-1)
+    rays = target.unproject(centre) @ R_target_source
+    _, seen = source.project(rays)
+    J = source.jacobian(rays)
+    if source.kind == "erp":
+        J = J * np.stack([np.hypot(rays[..., 0], rays[..., 2]), np.ones(rays.shape[:-1])], axis=-1)[..., None]
+    steps = []
+    for offset in ([0.25, 0.0], [0.0, 0.25]):
+        difference = (target.unproject(centre + offset) - target.unproject(centre - offset)) @ R_target_source
+        with np.errstate(invalid="ignore"):
+            steps.append(np.linalg.norm((J @ (2 * difference[..., None]))[..., 0], axis=-1))
+    ok = seen & np.isfinite(steps[0]) & np.isfinite(steps[1])
+    return steps[0][ok], steps[1][ok]
+
+
+def choose_sampling(source: Camera, target: Camera, R_target_source: Array) -> Sampling:
+    """No filter when magnifying; a supersampled, if need be pre-shrunk, source when minifying."""
+    along, down = stretch(source, target, R_target_source)
+    if along.size == 0:
+        return Sampling()
+    largest = float(np.percentile(np.maximum(along, down), 99))
+    smallest = float(np.percentile(np.minimum(along, down), 5))
+    if largest <= 1.25:
+        return Sampling()
+    # The pre-filter must not blur what the least minified pixels could still show.
+    shrink = max(1, int(min(largest / 2 + 0.5, smallest)))
+    grid = 2
+    while largest / (shrink * grid) > _MAX_STEP and grid < 8:
+        grid *= 2
+    return Sampling(shrink, grid)
