@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from panobench.testing import TinySequence, assert_conforms, rotating_pose, rotation_error_deg, run_method
 from panobench_example import ROTATION
 from panobench_example.rotation import Rotation, RotationConfig
+
+from panobench.testing import TinySequence, assert_conforms, rotating_pose, rotation_error_deg, run_method
 
 
 def test_it_keeps_the_contract() -> None:

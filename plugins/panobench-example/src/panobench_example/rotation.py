@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
 from panobench import Camera, Estimate, Frame, MethodContext, OnlineMethod, Trajectory
 from panobench.geometry import directions_from_lonlat, make_pose, renormalise, so3_exp
 
