@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dataset_samples import video
+
+from panobench.datasets.images import encode_image
+from panobench.datasets.open import open_sequence
+from panobench.datasets.video import Video, VideoReader
+from panobench.errors import DatasetError, UnknownNameError
+
+
+def level(image: np.ndarray) -> int:
+    """The frame number written into the lower half (the codec darkens it by 3)."""
+    return round((float(image[20:].mean()) - 7) / 4)
+
+
+def test_frames_in_order_and_at_random_are_the_same(tmp_path: Path) -> None:
+    sequence = Video(video(tmp_path / "walk.mp4", 60)).open()
+    assert len(sequence) == 60
+    np.testing.assert_allclose(sequence.times, np.arange(60) / 24)
+    images = [frame.image for frame in sequence.frames()]
+    assert [level(image) for image in images] == list(range(60))
+    for index in (59, 0, 58, 3, 3, 2, 55, 1, 30):
+        np.testing.assert_array_equal(sequence.image(index), images[index])
+    assert level(sequence.image(-1)) == 59
+    assert sequence.groundtruth is None
+
+
+def test_folder_of_videos_names_and_masks(tmp_path: Path) -> None:
+    video(tmp_path / "a.mp4", 3)
+    video(tmp_path / "b.mp4", 5)
+    mask = np.ones((32, 64), bool)
+    mask[24:] = False
+    (tmp_path / "b.mask.png").write_bytes(encode_image(mask, ".png"))
+    assert Video(tmp_path).sequences() == ["a", "b"]
+    sequence = open_sequence("video", "b", tmp_path, 32)
+    assert len(sequence) == 5
+    np.testing.assert_array_equal(sequence.camera.valid_mask(), mask[::2, ::2])
+    assert open_sequence("video", "a", tmp_path).camera.mask is None
+    with pytest.raises(UnknownNameError):
+        open_sequence("video", "c", tmp_path)
+
+
+def test_bad_videos(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="no video here"):
+        Video(tmp_path).open()
+    path = tmp_path / "v.mp4"
+    path.write_bytes(b"")
+    with pytest.raises(DatasetError, match=r"v\.mp4: the video is empty"):
+        Video(path).open()
+    path.write_bytes(b"not a video" * 100)
+    with pytest.raises(DatasetError, match=r"v\.mp4: the video cannot be opened"):
+        Video(path).open()
+    whole = video(tmp_path / "w.mp4").read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])  # the index at the end is gone
+    with pytest.raises(DatasetError, match="truncated"):
+        Video(path).open()
+    with pytest.raises(DatasetError, match="twice as wide"):
+        Video(video(tmp_path / "square.mp4", 3, size=(64, 48))).open()
+
+
+def test_damage_in_the_middle_names_the_frame(tmp_path: Path) -> None:
+    path = video(tmp_path / "v.mp4", 10)
+    reader = VideoReader(path)
+    reader.count = 40  # as if the container had promised more
+    with pytest.raises(DatasetError, match="frame 20: the frame cannot be decoded"):
+        reader.read(20)
+
+
+@pytest.mark.data
+def test_corridor_clip() -> None:
+    path = Path(os.environ.get("PANOBENCH_TEST_DATA", "/nonexistent"), "video/lab_corridor.mp4")
+    if not path.is_file():
+        pytest.skip("PANOBENCH_TEST_DATA has no video/lab_corridor.mp4")
+    sequence = open_sequence("video", None, path, 256)
+    images = [frame.image for frame in sequence.frames()]
+    assert len(images) == 58
+    for index in (57, 2, 40, 39, 56, 0):
+        np.testing.assert_array_equal(sequence.image(index), images[index])
