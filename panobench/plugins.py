@@ -17,7 +17,16 @@ import pluggy
 
 from panobench import hookspecs
 from panobench.errors import UnknownNameError
-from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, Spec, StudySpec
+from panobench.specs import (
+    CONTRACT_VERSION,
+    CameraSpec,
+    DatasetSpec,
+    DepthSpec,
+    MethodSpec,
+    MetricSpec,
+    Spec,
+    StudySpec,
+)
 
 ENTRY_POINT_GROUP = "panobench"
 _HOOKS: dict[type[Spec], str] = {
@@ -77,6 +86,14 @@ class Registry:
             for spec in implementation() or ():
                 if not isinstance(spec, kind):
                     raise TypeError(f"{hook}() returned {spec!r}, which is not a {kind.__name__}")
+                if isinstance(spec, MethodSpec) and not same_contract(spec.contract):
+                    warnings.warn(
+                        f"method '{spec.name}' of plugin {origin} is skipped: it was written for contract "
+                        f"{spec.contract}, this panobench has {CONTRACT_VERSION}",
+                        PluginWarning,
+                        stacklevel=2,
+                    )
+                    continue
                 by_name = self.entries.setdefault(kind.kind, {})
                 if spec.name in by_name:
                     other = by_name[spec.name].origin
@@ -87,6 +104,16 @@ class Registry:
                     )
                     continue
                 by_name[spec.name] = Registered(spec, origin)
+
+
+def same_contract(version: str) -> bool:
+    """A plugin written for contract ``version`` works here: same first number, second not newer than ours."""
+    try:
+        major, minor = (int(part) for part in version.split("."))
+    except ValueError:
+        return False
+    ours = [int(part) for part in CONTRACT_VERSION.split(".")]
+    return major == ours[0] and minor <= ours[1]
 
 
 def load_registry(entry_points: bool = True) -> Registry:

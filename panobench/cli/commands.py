@@ -1,6 +1,7 @@
 """The commands of `panobench`: name -> (module, one line of help). The modules are imported when a command runs.
 
-A module of this table has a ``typer.Typer`` named ``app``: with one command it is that command, with several a group.
+A module of this table has a ``typer.Typer`` named ``app`` (with one command it is that command, with several a
+group), or a function with the command's name.
 """
 
 from __future__ import annotations
@@ -8,5 +9,8 @@ from __future__ import annotations
 #: In the order `panobench --help` shows them.
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("panobench.cli.run", "Run one method on one sequence and store the run."),
+    "report": ("panobench.cli.report", "Write one offline HTML file, or tables, from stored runs."),
+    "plugin": ("panobench.cli.plugin", "Write a plugin package, or check one against the contract."),
     "list": ("panobench.cli.list", "Show every camera, dataset, method, depth estimator, metric and study."),
+    "plugin": ("panobench.cli.plugin", "Write a plugin package, or check one against the contract."),
 }

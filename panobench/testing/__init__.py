@@ -9,6 +9,7 @@ import importlib
 from typing import Any
 
 _EXPORTS = {
+    "panobench.testing.check_metrics": ("made_up_run",),
     "panobench.testing.conformance": ("Check", "Options", "check_spec", "assert_conforms"),
     "panobench.testing.cameras": ("FakeCamera",),
     "panobench.testing.fixtures": ("fake_camera", "rotating_sequence", "tiny_sequence"),

@@ -16,7 +16,7 @@ from panobench.cameras.base import Camera
 from panobench.datasets.base import Sequence
 from panobench.errors import PanobenchError
 from panobench.methods.base import BatchMethod, OnlineMethod
-from panobench.plugins import registry
+from panobench.plugins import registry, same_contract
 from panobench.specs import CONTRACT_VERSION, CameraSpec, DepthSpec, MethodSpec, load_object
 from panobench.testing.check_cameras import example_camera
 from panobench.testing.conformance import Checks, Failed, Options, Skipped, require
@@ -99,10 +99,8 @@ def _declaration(spec: MethodSpec) -> str:
     unknown = set(spec.needs) - NEEDS
     require(not unknown, f"needs has {sorted(unknown)}; known are {sorted(NEEDS)}")
     require(spec.licence, "licence is empty: name the licence of the method's code")
-    theirs, ours = spec.contract.split("."), CONTRACT_VERSION.split(".")
     require(
-        theirs[0] == ours[0] and int(theirs[1]) <= int(ours[1]),
-        f"written for contract {spec.contract}, this panobench has {CONTRACT_VERSION}",
+        same_contract(spec.contract), f"written for contract {spec.contract}, this panobench has {CONTRACT_VERSION}"
     )
     return f"contract {spec.contract}, cameras {', '.join(spec.cameras)}"
 
