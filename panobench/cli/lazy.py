@@ -14,8 +14,13 @@ from panobench.cli.commands import COMMANDS
 
 def load_command(name: str) -> Any:
     """The click command of ``panobench NAME``."""
-    module, summary = COMMANDS[name]
-    command = typer.main.get_command(importlib.import_module(module).app)
+    path, summary = COMMANDS[name]
+    module = importlib.import_module(path)
+    app = getattr(module, "app", None)
+    if app is None:
+        app = typer.Typer()
+        app.command()(getattr(module, name))
+    command = typer.main.get_command(app)
     command.name = name
     command.short_help = summary
     return command

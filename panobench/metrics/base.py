@@ -15,6 +15,10 @@ from panobench.types import Estimate
 
 #: Version of the evaluation protocol (docs/protocol.md); in every run.json.
 PROTOCOL_VERSION = "1.0"
+#: A run that tracked a smaller share of its frames is lost.
+MIN_TRACKED = 0.9
+#: A run with a larger ATE is lost too: the largest error the paper's tables print is 2.66 m, beyond they print "/".
+FAILED_ATE_M = 3.0
 
 Render = Callable[[Camera, NDArray[np.float64]], "NDArray[np.float32] | None"]
 
@@ -26,7 +30,8 @@ class MetricInput:
     frames:   indices (into ``sequence``) that were given to the method.
     holdout:  those of them that were never mapped.
     latency:  seconds per frame given, same order as ``frames``.
-    renders:  folder where pictures for the report may be written, or None.
+    renders:  folder where pictures for the report may be written (it may not exist yet), or None.
+    notes:    key -> one line; a metric says here why a number is None.
     """
 
     sequence: Sequence
@@ -36,3 +41,4 @@ class MetricInput:
     latency: list[float] = field(default_factory=list)
     render: Render | None = None
     renders: Path | None = None
+    notes: dict[str, str] = field(default_factory=dict)

@@ -2,4 +2,43 @@
 
 from panobench.specs import MetricSpec
 
-METRICS: tuple[MetricSpec, ...] = ()
+METRICS: tuple[MetricSpec, ...] = (
+    MetricSpec(
+        "trajectory",
+        "ATE over all frames and keyframes, RPE, rotation error (evo)",
+        "panobench.metrics.trajectory:trajectory_metrics",
+        requires=("evo",),
+        keys={
+            "ate_rmse_m": "lower",
+            "ate_keyframes_rmse_m": "lower",
+            "ate_rotation_rmse_deg": "lower",
+            "rpe_trans_rmse_m": "lower",
+            "rpe_rotation_rmse_deg": "lower",
+            "path_length_m": "none",
+            "scale": "none",
+        },
+    ),
+    MetricSpec(
+        "rendering",
+        "three-view, panorama, held-out and novel-view image quality",
+        "panobench.metrics.rendering:rendering_metrics",
+        keys={
+            "psnr_db": "higher",
+            "ssim": "higher",
+            "lpips": "lower",
+            "pano_psnr_db": "higher",
+            "ws_psnr_db": "higher",
+            "holdout_psnr_db": "higher",
+            "holdout_ws_psnr_db": "higher",
+            "holdout_views_psnr_db": "higher",
+            "novel_psnr_db": "higher",
+            "novel_ssim": "higher",
+        },
+    ),
+    MetricSpec(
+        "cost",
+        "size of the map and share of frames used as keyframes",
+        "panobench.metrics.cost:cost_metrics",
+        keys={"map_gaussians": "none", "keyframe_share": "none"},
+    ),
+)

@@ -1,0 +1,201 @@
+"""A method's configuration: dataclass defaults, then a preset, then ``--set key=value``, each checked and coerced."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from panobench.errors import UnknownNameError, UsageError
+from panobench.specs import MethodSpec, load_object
+
+_TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
+_NONE = ("none", "null", "")
+
+
+def parse_settings(words: typing.Iterable[str]) -> dict[str, str]:
+    """``["a=1", "b.c=x"]`` -> {"a": "1", "b.c": "x"}. Raises UsageError for a word without "="."""
+    settings = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or not key.strip():
+            raise UsageError(f"--set {word}: expected KEY=VALUE")
+        settings[key.strip()] = value.strip()
+    return settings
+
+
+def method_config(spec: MethodSpec, preset: str | None = None, settings: Mapping[str, Any] | None = None) -> Any:
+    """The method's config object, or None if it has no options.
+
+    Raises UnknownNameError for a preset or key it does not have, UsageError for a value of the wrong type.
+    """
+    settings = dict(settings or {})
+    if preset not in (None, "default", *spec.presets):
+        raise UnknownNameError(f"preset of method '{spec.name}'", str(preset), ["default", *spec.presets])
+    what = f"option of method '{spec.name}'"
+    if spec.config is None:
+        if settings:
+            raise UnknownNameError(what, next(iter(settings)), ())
+        return None
+    cls = load_object(spec.config, f"config of method '{spec.name}'")
+    chosen: Mapping[str, Any] = spec.presets.get(preset, {}) if preset else {}
+    try:
+        config = override(cls(), chosen, f"preset '{preset}' of method '{spec.name}'")
+        return override(config, settings, what)
+    except (TypeError, ValueError) as error:  # the dataclass's own __post_init__ refuses the values
+        raise UsageError(f"method '{spec.name}': {error}") from error
+
+
+def override(
+    config: Any, values: Mapping[str, Any], what: str, known: list[str] | None = None, prefix: str = ""
+) -> Any:
+    """A copy of the dataclass with ``values``; keys may be dotted, or values nested, for dataclasses inside."""
+    known = option_names(config) if known is None else known
+    names = {f.name for f in dataclasses.fields(config) if f.init}
+    hints = typing.get_type_hints(type(config))
+    changes: dict[str, Any] = {}
+    nested: dict[str, dict[str, Any]] = {}
+    for key, value in values.items():
+        head, _, rest = str(key).partition(".")
+        inside = head in names and _is_config(getattr(config, head))
+        inner = {rest: value} if rest else value
+        if head not in names or (inside and not isinstance(inner, Mapping)) or (rest and not inside):
+            raise UnknownNameError(what, prefix + str(key), known)
+        if inside:
+            nested.setdefault(head, {}).update(inner)
+        else:
+            changes[head] = coerce(value, hints.get(head, Any), prefix + head)
+    for head, inner in nested.items():
+        changes[head] = override(getattr(config, head), inner, what, known, f"{prefix}{head}.")
+    return dataclasses.replace(config, **changes)
+
+
+def _is_config(value: Any) -> bool:
+    return dataclasses.is_dataclass(value) and not isinstance(value, type)
+
+
+def option_names(config: Any) -> list[str]:
+    """Every key that ``--set`` takes, dotted for nested dataclasses."""
+    names = []
+    for f in dataclasses.fields(config):
+        value = getattr(config, f.name)
+        if _is_config(value):
+            names += [f"{f.name}.{inner}" for inner in option_names(value)]
+        elif f.init:
+            names.append(f.name)
+    return names
+
+
+def config_values(config: Any) -> dict[str, Any]:
+    """The complete configuration as JSON-ready values."""
+    return {} if config is None else plain(dataclasses.asdict(config))
+
+
+def plain(value: Any) -> Any:
+    """JSON-ready copy: enums by value, paths and unknown objects as text, tuples as lists."""
+    if isinstance(value, enum.Enum):
+        return value.value
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(v) for v in value]
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    return value.item() if hasattr(value, "item") else str(value)
+
+
+def coerce(value: Any, hint: Any, key: str) -> Any:
+    """``value`` (text from the command line, or a YAML value) as the type ``hint``. Raises UsageError."""
+    try:
+        return _coerce(value, hint)
+    except (TypeError, ValueError, OverflowError):
+        raise UsageError(f"option {key}: '{value}' is not {_name(hint)}") from None
+
+
+def _coerce(value: Any, hint: Any) -> Any:
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if hint is Any or hint is object:
+        return value
+    if origin in (typing.Union, types.UnionType):
+        return _union(value, args)
+    if origin is typing.Literal:
+        for choice in args:
+            if value == choice or str(value) == str(choice):
+                return choice
+        raise ValueError
+    if origin in (tuple, list) or hint in (tuple, list):
+        return _series(value, origin or hint, args)
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return value if isinstance(value, hint) else hint(value)
+    if hint is bool:
+        return _bool(value)
+    if hint is type(None):
+        if value is None or str(value).lower() in _NONE:
+            return None
+        raise ValueError
+    if hint is int:
+        if isinstance(value, bool) or float(value) != int(float(value)):
+            raise ValueError
+        return int(value) if isinstance(value, int) else int(float(value))
+    if hint is float:
+        if isinstance(value, bool):
+            raise ValueError
+        return float(value)
+    if hint in (str, Path):
+        return hint(value)
+    if isinstance(value, str):
+        raise ValueError
+    return value
+
+
+def _union(value: Any, args: tuple[Any, ...]) -> Any:
+    # None first ("none" must not become the text), text last (it takes everything).
+    for option in sorted(args, key=lambda a: (a is not type(None), a in (str, Path))):
+        try:
+            return _coerce(value, option)
+        except (TypeError, ValueError, OverflowError):
+            continue
+    raise ValueError
+
+
+def _bool(value: Any) -> bool:
+    word = str(value).lower()
+    if word in _TRUE:
+        return True
+    if word in _FALSE:
+        return False
+    raise ValueError
+
+
+def _series(value: Any, kind: Any, args: tuple[Any, ...]) -> Any:
+    if isinstance(value, str):
+        items: list[Any] = [word.strip() for word in value.strip("()[] ").split(",") if word.strip()]
+    else:
+        items = list(value)
+    if kind is tuple and args and args[-1] is not Ellipsis:
+        if len(items) != len(args):
+            raise ValueError
+        return tuple(_coerce(item, hint) for item, hint in zip(items, args))
+    hint = args[0] if args else Any
+    return kind(_coerce(item, hint) for item in items)
+
+
+def _name(hint: Any) -> str:
+    """How a user would say the type."""
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    words = {int: "a whole number", float: "a number", bool: "true or false", str: "text", type(None): "none"}
+    if hint in words:
+        return words[hint]
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join(_name(a) for a in args)
+    if origin is typing.Literal:
+        return "one of " + ", ".join(str(a) for a in args)
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return "one of " + ", ".join(str(m.value) for m in hint)
+    if origin in (tuple, list):
+        return f"{len(args)} values with commas" if args and args[-1] is not Ellipsis else "values with commas"
+    return getattr(hint, "__name__", str(hint))

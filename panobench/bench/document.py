@@ -1,0 +1,190 @@
+"""What a run folder holds: run.json from what was found out, and the files beside it."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from panobench.bench.config import config_values
+from panobench.bench.evaluate import Scores
+from panobench.bench.opening import Opened
+from panobench.bench.request import RunRequest
+from panobench.bench.runfolder import (
+    FRAMES,
+    GROUNDTRUTH,
+    MAP,
+    RENDERS,
+    RUN_JSON,
+    SCHEMA,
+    TRAJECTORY,
+    write_frames,
+    write_json,
+)
+from panobench.bench.tracking import Tracked, frame_indices
+from panobench.errors import PanobenchError
+from panobench.metrics.base import PROTOCOL_VERSION
+from panobench.types import DepthEstimate
+
+
+def run_document(
+    request: RunRequest,
+    opened: Opened,
+    tracked: Tracked,
+    holdout: list[int],
+    scores: Scores,
+    resources: dict[str, Any],
+    origin: dict[str, Any],
+) -> dict[str, Any]:
+    """The content of run.json (the map's entry is added when the map is written)."""
+    estimate, sequence = tracked.estimate, opened.sequence
+    assert estimate is not None
+    used_depth = opened.depth is not None and (opened.depth.made > 0 or opened.depth.chosen)
+    return {
+        "schema": SCHEMA,
+        "status": scores.status.value,
+        "message": scores.message,
+        "origin": "measured",
+        "spec": {
+            **request.to_dict(),
+            "sequence": sequence.name,
+            "depth": opened.depth.label if used_depth and opened.depth else None,
+            "config": config_values(opened.config),
+            "camera_model": sequence.camera.to_dict(),
+        },
+        "method": {
+            "name": opened.spec.name,
+            "origin": opened.origin,
+            "contract": opened.spec.contract,
+            "licence": opened.spec.licence,
+            "citation": opened.spec.citation,
+            "needs": list(opened.spec.needs),
+        },
+        "protocol": PROTOCOL_VERSION,
+        "metric": bool(estimate.metric),
+        "metrics": scores.metrics,
+        "notes": scores.notes,
+        "timing": timing(tracked, resources, scores.evaluation_s),
+        "frames": {
+            "given": tracked.given,
+            "planned": len(sequence),
+            "tracked": len(estimate.trajectory),
+            "held_out": len([i for i in holdout if i < tracked.given]),
+        },
+        "keyframes": estimate.keyframes,
+        "depth": _depth_entry(opened, estimate.depth),
+        "groundtruth": sequence.groundtruth is not None,
+        "extra": estimate.extra,
+        "provenance": {
+            **origin,
+            "dataset": sequence.provenance(),
+            "command": shlex.join(request.command()),
+            "seed": request.seed,
+        },
+    }
+
+
+def timing(tracked: Tracked, resources: dict[str, Any], evaluation_s: float) -> dict[str, Any]:
+    """Seconds and rates of the method alone; see docs/protocol.md."""
+    busy = sum(tracked.latency) + tracked.finish_s
+    assert tracked.estimate is not None
+    rows = tracked.estimate.frames
+    own = [rows[i]["tracking_s"] for i in range(tracked.given) if "tracking_s" in rows.get(i, {})]
+    tracking = own if len(own) == tracked.given else tracked.latency
+    p50, p95 = np.percentile(tracked.latency, [50, 95]) if tracked.latency else (None, None)
+    return {
+        "fps": tracked.given / busy if tracked.given and busy > 0 else None,
+        "tracking_fps": len(tracking) / sum(tracking) if tracking and sum(tracking) > 0 else None,
+        "latency_p50_s": p50,
+        "latency_p95_s": p95,
+        "start_s": tracked.start_s,
+        "finish_s": tracked.finish_s,
+        "wall_s": tracked.wall_s,
+        "evaluation_s": evaluation_s,
+        **resources,
+    }
+
+
+def _depth_entry(opened: Opened, estimate: DepthEstimate | None) -> dict[str, Any]:
+    """Where the map's first depth came from; a dataset's own depth is flagged."""
+    choice = opened.depth
+    needs_depth = "depth" in opened.spec.needs
+    entry: dict[str, Any] = {
+        "source": choice.label if choice and choice.made else ("input" if needs_depth else None),
+        "oracle": bool(needs_depth or (choice and choice.made and choice.spec.needs_dataset_depth)),
+        "poses_given": "poses" in opened.spec.needs,
+    }
+    if estimate is not None:
+        entry |= {"frame": estimate.frame_index, "ok": estimate.ok, "message": estimate.message}
+        known = estimate.depth[np.isfinite(estimate.depth)]
+        if len(known):
+            low, high = np.percentile(known, [2, 98])
+            entry["range"] = [float(low), float(high)]
+    return entry
+
+
+def write_run(folder: Path, document: dict[str, Any], opened: Opened, tracked: Tracked, holdout: list[int]) -> None:
+    """Write everything but log.txt and renders below ``folder``; run.json last."""
+    from panobench.datasets.trajectory_io import write_tum
+
+    estimate, sequence = tracked.estimate, opened.sequence
+    assert estimate is not None
+    write_tum(folder / TRAJECTORY, estimate.trajectory)
+    truth = sequence.groundtruth
+    if truth is not None:
+        write_tum(folder / GROUNDTRUTH, truth)
+    write_frames(folder / FRAMES, frame_rows(opened, tracked, frozenset(holdout)))
+    document["map"] = None
+    if estimate.map is not None:
+        try:
+            estimate.map.write_ply(folder / MAP)
+            size = (folder / MAP).stat().st_size
+            document["map"] = {"file": MAP, "gaussians": len(estimate.map), "bytes": size}
+        except PanobenchError as error:
+            document["notes"]["map"] = str(error)
+    if estimate.depth is not None:
+        write_depth(folder / RENDERS, estimate.depth)
+    write_json(folder / RUN_JSON, document)
+
+
+def frame_rows(opened: Opened, tracked: Tracked, holdout: frozenset[int]) -> list[dict[str, Any]]:
+    """One row per frame given: index, time, name, tracked, mappable, keyframe, latency_s, then the method's own."""
+    estimate, sequence = tracked.estimate, opened.sequence
+    assert estimate is not None
+    posed, keyframes = set(frame_indices(estimate, sequence)), set(estimate.keyframes)
+    rows = []
+    for i in range(tracked.given):
+        own = estimate.frames.get(i, {})
+        rows.append(
+            {
+                "index": i,
+                "time": f"{sequence.times[i]:.9f}",
+                "name": sequence.frame_name(i),
+                "tracked": int(i in posed),
+                "mappable": int(i not in holdout),
+                "keyframe": int(i in keyframes),
+                "latency_s": f"{tracked.latency[i]:.6f}" if i < len(tracked.latency) else None,
+                **{k: v for k, v in own.items() if k not in ("index", "time", "name")},
+            }
+        )
+    return rows
+
+
+def write_depth(folder: Path, estimate: DepthEstimate) -> None:
+    """depth.jpg (near is warm, 2nd to 98th percentile of inverse depth) and depth_confidence.jpg."""
+    import cv2
+
+    folder.mkdir(exist_ok=True)
+    inverse = 1.0 / np.where(estimate.depth > 0, estimate.depth, np.nan)
+    known = np.isfinite(inverse)
+    if known.any():
+        low, high = np.percentile(inverse[known], [2, 98])
+        level = np.clip((np.where(known, inverse, low) - low) / max(high - low, 1e-9), 0, 1)
+        picture = cv2.applyColorMap(np.uint8(level * 255), cv2.COLORMAP_TURBO)
+        picture[~known] = 0
+        cv2.imwrite(str(folder / "depth.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, 90])
+    if estimate.confidence is not None:
+        level = np.clip(np.nan_to_num(estimate.confidence), 0, 1)
+        cv2.imwrite(str(folder / "depth_confidence.jpg"), np.uint8(level * 255), [cv2.IMWRITE_JPEG_QUALITY, 90])

@@ -1,0 +1,93 @@
+"""Score a finished run with every registered metric, and judge whether it counts as tracked."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from panobench.errors import PanobenchError
+from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED, MetricInput
+from panobench.plugins import registry
+from panobench.specs import MetricSpec
+from panobench.types import RunStatus
+
+#: Names others rely on in run.json: there in every run, null where not measured.
+NAMES = (
+    "ate_rmse_m",
+    "ate_keyframes_rmse_m",
+    "rpe_trans_rmse_m",
+    "tracked",
+    "psnr_db",
+    "ssim",
+    "lpips",
+    "pano_psnr_db",
+    "ws_psnr_db",
+    "holdout_psnr_db",
+    "novel_psnr_db",
+)
+
+
+@dataclass
+class Scores:
+    """metrics: name -> number or None. notes: metric or key -> why it is None. status and message: of the run."""
+
+    status: RunStatus
+    message: str
+    metrics: dict[str, float | None] = field(default_factory=dict)
+    notes: dict[str, str] = field(default_factory=dict)
+    evaluation_s: float = 0.0
+
+
+def evaluate(data: MetricInput, status: RunStatus, message: str, log: Callable[[str], None]) -> Scores:
+    """Every metric of a run that went through (or was interrupted); of a failed one only its coverage.
+
+    A metric that raises leaves its keys None and a note; it never changes the run's status.
+    """
+    begin = time.perf_counter()
+    scores = Scores(status, message, dict.fromkeys(NAMES))
+    scored = status in (RunStatus.OK, RunStatus.INTERRUPTED)
+    try:
+        for spec in registry().specs(MetricSpec).values() if scored else ():
+            scores.metrics.update(_measure(spec, data, scores.notes, log))
+    except KeyboardInterrupt:
+        scores.status, scores.message = RunStatus.INTERRUPTED, "interrupted while it was scored"
+    scores.notes.update(data.notes)
+    scores.metrics["tracked"] = len(data.estimate.trajectory) / len(data.frames) if data.frames else 0.0
+    if scores.status is RunStatus.OK:
+        scores.status, scores.message = judge(scores.metrics)
+    scores.evaluation_s = time.perf_counter() - begin
+    return scores
+
+
+def judge(metrics: dict[str, float | None]) -> tuple[RunStatus, str]:
+    """OK, or LOST with the reason: the protocol's limits on coverage and on the error."""
+    tracked, ate = metrics.get("tracked") or 0.0, metrics.get("ate_rmse_m")
+    if tracked < MIN_TRACKED:
+        return RunStatus.LOST, f"tracked {tracked:.1%} of the frames, the protocol asks for {MIN_TRACKED:.0%}"
+    if ate is not None and ate > FAILED_ATE_M:
+        return RunStatus.LOST, f"ATE {ate:.2f} m is over the protocol's {FAILED_ATE_M:g} m"
+    return RunStatus.OK, ""
+
+
+def _measure(
+    spec: MetricSpec, data: MetricInput, notes: dict[str, str], log: Callable[[str], None]
+) -> dict[str, float | None]:
+    nothing: dict[str, float | None] = dict.fromkeys(spec.keys)
+    reason = spec.unavailable()
+    if reason:
+        notes[spec.name] = f"n/a: {reason}"
+        return nothing
+    try:
+        values = spec.load()(data)
+    except PanobenchError as error:
+        notes[spec.name] = str(error)
+        return nothing
+    except Exception as error:  # a stranger's metric, or a renderer that fails: the run stays a run
+        notes[spec.name] = f"{type(error).__name__}: {error}"
+        log(f"metric {spec.name} failed: {type(error).__name__}: {error}")
+        return nothing
+    unknown = sorted(set(values) - set(spec.keys))
+    if unknown:
+        notes[spec.name] = f"returned {', '.join(unknown)}, which its spec does not name"
+    return {**nothing, **{k: None if v is None else float(v) for k, v in values.items() if k in spec.keys}}

@@ -1,0 +1,164 @@
+"""Names into objects: the method with its options, the sequence through the camera asked for, the depth estimator.
+
+All of it happens before anything is written; every mistake is a PanobenchError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from panobench.bench.config import method_config
+from panobench.bench.request import RunRequest
+from panobench.bench.views import ChosenFrames
+from panobench.datasets.base import Sequence
+from panobench.depth.base import DepthEstimator
+from panobench.errors import UnavailableError, UnsupportedError, UsageError
+from panobench.methods.base import BatchMethod, OnlineMethod
+from panobench.plugins import registry
+from panobench.specs import CameraSpec, DepthSpec, MethodSpec
+
+DEFAULT_DEPTH = "bootstrap"
+
+
+@dataclass
+class DepthChoice:
+    """The depth estimator of a run; ``make`` counts how often the method asked for one."""
+
+    name: str
+    argument: str
+    spec: DepthSpec
+    chosen: bool
+    made: int = 0
+
+    @property
+    def label(self) -> str:
+        return f"{self.name}:{self.argument}" if self.argument else self.name
+
+    def make(self) -> DepthEstimator:
+        self.made += 1
+        estimator: DepthEstimator = self.spec.load()(self.argument)
+        return estimator
+
+
+@dataclass
+class Opened:
+    """Everything a run needs, ready to start."""
+
+    spec: MethodSpec
+    origin: str
+    method: OnlineMethod | BatchMethod
+    config: Any
+    sequence: ChosenFrames
+    depth: DepthChoice | None
+
+
+def open_run(request: RunRequest) -> Opened:
+    """Raises UnknownNameError, UsageError, UnsupportedError, UnavailableError or DatasetError."""
+    spec = method_spec(request)
+    config = method_config(spec, request.preset, request.settings)
+    depth = open_depth(request.depth)
+    cls = spec.load()
+    method = cls(config) if spec.config is not None else cls()
+    if not isinstance(method, (OnlineMethod, BatchMethod)):
+        raise UnsupportedError(f"method '{spec.name}' is neither an OnlineMethod nor a BatchMethod")
+    sequence = open_input(request, spec)
+    if "imu" in spec.needs and sequence.imu is None:
+        raise UnsupportedError(f"method '{spec.name}' needs an IMU; sequence '{sequence.name}' has none")
+    if "poses" in spec.needs and sequence.groundtruth is None:
+        raise UnsupportedError(f"method '{spec.name}' needs given poses; sequence '{sequence.name}' has none")
+    origin = registry().entries[MethodSpec.kind][spec.name].origin
+    return Opened(spec, origin, method, config, sequence, depth)
+
+
+def method_spec(request: RunRequest) -> MethodSpec:
+    """The method, if it is known, takes the camera asked for and can run here."""
+    spec = registry().get(MethodSpec, request.method)
+    check_camera(request.camera, spec)
+    reason = spec.unavailable()
+    if reason:
+        raise UnavailableError(f"method '{spec.name}' cannot run here: {reason}")
+    return spec
+
+
+def check_camera(option: str, spec: MethodSpec) -> None:
+    """Raise unless the option names a camera kind the method takes; calibration files are judged when read."""
+    kind = option.partition(":")[0]
+    if "." in kind:
+        return
+    registry().get(CameraSpec, kind)
+    if kind not in spec.cameras:
+        raise UnsupportedError(f"method '{spec.name}' does not take {kind} images; it takes {', '.join(spec.cameras)}")
+
+
+def open_input(request: RunRequest, spec: MethodSpec | None = None) -> ChosenFrames:
+    """The sequence through the camera asked for, the frames chosen."""
+    source = open_source(request, None if _converts(request) else request.width)
+    sequence = as_camera(source, request)
+    if spec is not None and sequence.camera.kind not in spec.cameras:
+        raise UnsupportedError(
+            f"method '{spec.name}' does not take {sequence.camera.kind} images; it takes {', '.join(spec.cameras)}"
+        )
+    return ChosenFrames(sequence, request.every, request.max_frames)
+
+
+def open_source(request: RunRequest, width: int | None) -> Sequence:
+    """The dataset's own sequence at ``width``."""
+    from panobench.datasets.open import open_sequence
+
+    return open_sequence(request.dataset, request.sequence, request.root, width)
+
+
+def _converts(request: RunRequest) -> bool:
+    """Whether the option asks for more than a kind of camera; a kind alone may be the dataset's own."""
+    return request.fov is not None or ":" in request.camera or "." in request.camera
+
+
+def as_camera(source: Sequence, request: RunRequest) -> Sequence:
+    """The sequence itself if its camera is the one asked for, else converted from its full resolution."""
+    if not _converts(request) and source.camera.kind == request.camera:
+        return source
+    from panobench.cameras.factory import parse_camera_option
+    from panobench.datasets.converted import ConvertedSequence
+
+    if not _converts(request):
+        source = open_source(request, None)
+    choice = parse_camera_option(request.camera, source.camera, request.width, request.fov)
+    return ConvertedSequence(source, choice.camera, choice.R_target_source)
+
+
+def open_depth(option: str | None) -> DepthChoice | None:
+    """The estimator of `--depth NAME[:ARGUMENT]`; the default when None. Raises for unknown names or arguments."""
+    known = registry().specs(DepthSpec)
+    if option is None and DEFAULT_DEPTH not in known:
+        return None
+    name, _, argument = (option or DEFAULT_DEPTH).partition(":")
+    spec = registry().get(DepthSpec, name)
+    reason = spec.unavailable()
+    if reason and option is not None:
+        raise UnavailableError(f"depth estimator '{name}' cannot run here: {reason}")
+    if argument and not spec.argument:
+        raise UsageError(f"--depth {option}: '{name}' takes no argument")
+    choice = DepthChoice(name, argument, spec, option is not None)
+    if option is not None:
+        spec.load()(argument)  # a wrong argument is said now, not after the first frames
+    return choice
+
+
+def oracle_depth(opened: Opened) -> Callable[[int], Any]:
+    """Depth handed over with frame i: all there is for methods that need it, the first for an oracle, else none."""
+    sequence = opened.sequence
+    if "depth" in opened.spec.needs:
+        return sequence.depth
+    if opened.depth is None or not opened.depth.spec.needs_dataset_depth:
+        return lambda index: None
+    given: list[int] = []
+
+    def first(index: int) -> Any:
+        depth = None if given else sequence.depth(index)
+        if depth is not None:
+            given.append(index)
+        return depth
+
+    return first

@@ -1,0 +1,180 @@
+"""One run: open, track, evaluate, write the folder. The method is timed; reading, checking and scoring are not."""
+
+from __future__ import annotations
+
+import datetime
+import random
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from panobench.bench.document import run_document, write_run
+from panobench.bench.evaluate import Scores, evaluate
+from panobench.bench.memory import Meter
+from panobench.bench.observer import Observer
+from panobench.bench.opening import Opened, open_run, oracle_depth
+from panobench.bench.provenance import provenance
+from panobench.bench.request import RunRequest
+from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
+from panobench.bench.tracking import Pose, Tracked, track_batch, track_online
+from panobench.bench.views import held_out
+from panobench.methods.base import BatchMethod, MethodContext
+from panobench.metrics.base import MetricInput
+from panobench.plugins import PluginWarning, registry
+from panobench.types import Frame, RunStatus
+
+
+class RunLog:
+    """log.txt: one line per event with the seconds since the run began."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file, self._begin = file, time.perf_counter()
+
+    def __call__(self, line: str) -> None:
+        for part in str(line).splitlines() or [""]:
+            self._file.write(f"[{time.perf_counter() - self._begin:9.3f}] {part}\n")
+        self._file.flush()
+
+
+def default_folder(request: RunRequest, base: Path = Path("runs")) -> Path:
+    """runs/METHOD-CAMERA-SEQUENCE-TIME, with a number behind it when taken."""
+    words = [request.method, request.camera, request.dataset, request.sequence or ""]
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    name = "-".join("".join(c if c.isalnum() or c in "._" else "_" for c in w).strip(".") for w in words if w)
+    folder = base / f"{name}-{stamp}"
+    number = 2
+    while folder.exists():
+        folder = base / f"{name}-{stamp}-{number}"
+        number += 1
+    return folder
+
+
+def execute(
+    request: RunRequest,
+    out: Path | None = None,
+    *,
+    force: bool = False,
+    observer: Observer | None = None,
+    extra: dict[str, Any] | None = None,
+) -> Path:
+    """Run and return the run folder, whatever the method did; ``extra`` joins run.json.
+
+    Raises PanobenchError for what the user can mend (names, options, data); nothing is written then.
+    """
+    observer = observer or Observer()
+    target = out or default_folder(request)
+    check_free(target, force)
+    observer.stage("opening")
+    opened = open_run(request)
+    pending = PendingRun(target, force)
+    try:
+        with (pending.path / LOG).open("w", encoding="utf-8") as file:
+            document = _run(request, opened, pending.path, RunLog(file), observer, extra or {})
+        folder = pending.publish()
+    except BaseException:
+        pending.discard()
+        raise
+    _call_hooks("run_finished", None, folder=folder, run=document)
+    return folder
+
+
+def _run(
+    request: RunRequest, opened: Opened, folder: Path, log: RunLog, observer: Observer, extra: dict[str, Any]
+) -> dict[str, Any]:
+    origin = provenance()
+    spec = request.to_dict()
+    _call_hooks("run_started", log, spec=spec)
+    log(f"{request.method} on {request.dataset}/{opened.sequence.name}, {len(opened.sequence)} frames")
+    holdout = held_out(len(opened.sequence), request.holdout)
+    _seed(request.seed)
+    with Meter() as meter:
+        tracked = _track(request, opened, folder, frozenset(holdout), log, observer)
+        cpu_s = meter.cpu_s
+    if tracked.failure:
+        log(tracked.failure)
+    scores = _score(opened, tracked, holdout, folder / RENDERS, log, observer)
+    log(f"{scores.status.value}: {scores.message}" if scores.message else scores.status.value)
+    resources = {"peak_rss_bytes": meter.peak_rss_bytes, "cpu_s": cpu_s}
+    document = {**run_document(request, opened, tracked, holdout, scores, resources, origin), **extra}
+    observer.stage("writing")
+    write_run(folder, document, opened, tracked, holdout)
+    return document
+
+
+def _track(
+    request: RunRequest,
+    opened: Opened,
+    folder: Path,
+    holdout: frozenset[int],
+    log: RunLog,
+    observer: Observer,
+) -> Tracked:
+    """Give the method its frames; its work folder is gone afterwards."""
+    import tempfile
+
+    sequence, needs = opened.sequence, opened.spec.needs
+    truth = sequence.groundtruth
+    with tempfile.TemporaryDirectory(prefix="work-", dir=folder, ignore_cleanup_errors=True) as work:
+        context = MethodContext(
+            seed=request.seed,
+            work=Path(work),
+            make_depth=opened.depth.make if opened.depth else None,
+            imu=sequence.imu if "imu" in needs else None,
+            poses=_poses(sequence, truth) if "poses" in needs and truth is not None else None,
+            log=log,
+        )
+        observer.started(len(sequence), truth)
+        observer.stage("tracking")
+        if isinstance(opened.method, BatchMethod):
+            return track_batch(opened.method, sequence, holdout, context, observer)
+
+        def frame_done(frame: Frame, T_wc: Pose | None, latency: float) -> None:
+            _call_hooks("frame_done", log, frame=frame, T_wc=T_wc, latency_s=latency)
+
+        return track_online(opened.method, sequence, holdout, context, oracle_depth(opened), observer, frame_done)
+
+
+def _poses(sequence: Any, truth: Any) -> dict[int, Any]:
+    return {int(i): T for i, T in zip(np.searchsorted(sequence.times, truth.times), truth.T_wc)}
+
+
+def _score(
+    opened: Opened, tracked: Tracked, holdout: list[int], renders: Path, log: RunLog, observer: Observer
+) -> Scores:
+    assert tracked.estimate is not None
+    observer.stage("evaluating")
+    whole = tracked.status is RunStatus.OK
+    data = MetricInput(
+        sequence=opened.sequence,
+        estimate=tracked.estimate,
+        frames=list(range(tracked.given)),
+        holdout=[i for i in holdout if i < tracked.given],
+        latency=tracked.latency,
+        render=opened.method.render if whole else None,
+        renders=renders if whole else None,
+    )
+    return evaluate(data, tracked.status, tracked.message, log)
+
+
+def _seed(seed: int) -> None:
+    """For code that draws from the global generators in spite of the contract."""
+    random.seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        torch.manual_seed(seed)
+
+
+def _call_hooks(name: str, log: RunLog | None, **arguments: Any) -> None:
+    """Lifecycle hooks of plugins: one that fails is reported and does not end the run."""
+    try:
+        getattr(registry().manager.hook, name)(**arguments)
+    except Exception as error:
+        text = f"a plugin's {name} hook failed: {type(error).__name__}: {error}"
+        if log is not None:
+            log(text)
+        warnings.warn(text, PluginWarning, stacklevel=2)

@@ -1,0 +1,191 @@
+"""Feed frames to a method, time it, check every answer. Ground truth is not in sight here."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.bench.observer import Observer
+from panobench.bench.stopping import StopRequest
+from panobench.bench.views import BlindSequence, read_frame
+from panobench.datasets.base import Sequence
+from panobench.errors import MethodError, PanobenchError
+from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
+from panobench.types import Estimate, Frame, RunStatus, Trajectory
+
+Pose = NDArray[np.float64]
+FrameDone = Callable[[Frame, "Pose | None", float], None]
+#: Largest |R^T R - I| of a pose that still counts as rigid: float32 poses pass, drifted ones do not.
+RIGID_TOLERANCE = 1e-3
+
+
+@dataclass
+class Tracked:
+    """What came out. status OK means the method went through; whether it tracked enough is judged later.
+
+    given: frames handed over. latency: seconds per frame given (batch: the whole run divided by the frames).
+    live: poses as ``track`` returned them. start_s, finish_s: seconds in ``start`` and ``finish``.
+    wall_s: from before ``start`` to after ``finish``, reading images included.
+    """
+
+    status: RunStatus = RunStatus.OK
+    message: str = ""
+    failure: str = ""
+    estimate: Estimate | None = None
+    given: int = 0
+    latency: list[float] = field(default_factory=list)
+    live: dict[int, Pose] = field(default_factory=dict)
+    start_s: float = 0.0
+    finish_s: float = 0.0
+    wall_s: float = 0.0
+
+
+def track_online(
+    method: OnlineMethod,
+    sequence: Sequence,
+    holdout: frozenset[int],
+    context: MethodContext,
+    first_depth: Callable[[int], NDArray[np.float32] | None],
+    observer: Observer,
+    frame_done: FrameDone,
+) -> Tracked:
+    """Run an online method. What the data or the user did wrong is raised; what the method did wrong is the result."""
+    result = Tracked()
+    begin = time.perf_counter()
+    where = "start()"
+    with StopRequest() as stop:
+        try:
+            method.start(sequence.camera, context)
+            result.start_s = time.perf_counter() - begin
+            for index in range(len(sequence)):
+                if stop.requested:
+                    break
+                frame = read_frame(sequence, index, index not in holdout, first_depth(index))
+                where = f"frame {index}"
+                clock = time.perf_counter()
+                pose = method.track(frame)
+                latency = time.perf_counter() - clock
+                result.latency.append(latency)
+                result.given += 1
+                if pose is not None:
+                    result.live[index] = check_pose(pose, f"frame {index}: track()")
+                frame_done(frame, result.live.get(index), latency)
+                observer.frame(index, frame.time, result.live.get(index), latency)
+            observer.stage("finishing")
+            where = "finish()"
+            clock = time.perf_counter()
+            result.estimate = check_estimate(method.finish(), sequence, result.given)
+            result.finish_s = time.perf_counter() - clock
+        except KeyboardInterrupt:
+            stop.requested = True
+        except Exception as error:
+            _blame(error, result, where)
+    if stop.requested:
+        result.status, result.message = RunStatus.INTERRUPTED, f"interrupted after frame {result.given - 1}"
+    result.wall_s = time.perf_counter() - begin
+    if result.estimate is None:
+        result.estimate = Estimate(_trajectory(result.live, sequence))
+    return result
+
+
+def track_batch(
+    method: BatchMethod, sequence: Sequence, holdout: frozenset[int], context: MethodContext, observer: Observer
+) -> Tracked:
+    """Run a batch method. Errors as in ``track_online``."""
+    result = Tracked()
+    blind = BlindSequence(sequence, holdout, context.imu)
+    begin = time.perf_counter()
+    with StopRequest(at_once=True):
+        try:
+            answer = method.run(blind, context)
+            result.wall_s = time.perf_counter() - begin
+            result.given = len(sequence)
+            result.estimate = check_estimate(answer, sequence, result.given)
+            result.live = dict(zip(frame_indices(result.estimate, sequence), result.estimate.trajectory.T_wc))
+        except KeyboardInterrupt:
+            result.status, result.message = RunStatus.INTERRUPTED, "interrupted"
+        except Exception as error:
+            _blame(error, result, "run()")
+    result.wall_s = result.wall_s or time.perf_counter() - begin
+    result.latency = [result.wall_s / len(sequence)] * result.given
+    if result.estimate is None:
+        result.estimate = Estimate(_trajectory({}, sequence))
+    return result
+
+
+def _blame(error: Exception, result: Tracked, where: str) -> None:
+    """Record the method's failure, or raise again what the user can mend (data, options, missing software)."""
+    if isinstance(error, PanobenchError) and not isinstance(error, MethodError):
+        raise error
+    if isinstance(error, MemoryError):
+        result.status = RunStatus.OUT_OF_MEMORY
+    else:
+        result.status = RunStatus(getattr(error, "run_status", RunStatus.CRASHED.value))
+    what = str(error) if isinstance(error, MethodError) else f"{where}: {type(error).__name__}: {error}"
+    result.message = " ".join(what.split())
+    result.failure = "".join(traceback.format_exception(error))
+
+
+def check_pose(pose: object, what: str) -> Pose:
+    """A (4, 4) float64 copy. Raises MethodError unless it is finite and rigid."""
+    try:
+        T = np.array(pose, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MethodError(f"{what} returned {type(pose).__name__}, expected a 4x4 pose or None") from None
+    if T.shape != (4, 4):
+        raise MethodError(f"{what} returned shape {T.shape}, expected a 4x4 pose or None")
+    if not np.isfinite(T).all():
+        raise MethodError(f"{what} returned a pose that is not finite")
+    R = T[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > RIGID_TOLERANCE or np.linalg.det(R) < 0:
+        raise MethodError(f"{what} returned a pose that is not rigid: its rotation is not orthonormal")
+    if np.abs(T[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
+        raise MethodError(f"{what} returned a pose whose last row is {T[3].tolist()}, expected 0 0 0 1")
+    return T
+
+
+def check_estimate(estimate: object, sequence: Sequence, given: int) -> Estimate:
+    """The estimate with its times snapped to the sequence's. Raises MethodError where it breaks the contract."""
+    if not isinstance(estimate, Estimate):
+        raise MethodError(f"the method returned {type(estimate).__name__}, expected an Estimate")
+    times = np.asarray(estimate.trajectory.times, dtype=np.float64)
+    poses = np.asarray(estimate.trajectory.T_wc, dtype=np.float64)
+    if times.ndim != 1 or poses.shape != (len(times), 4, 4):
+        raise MethodError(
+            f"the trajectory has times {times.shape} and poses {poses.shape}, expected (N,) and (N, 4, 4)"
+        )
+    if len(times) and not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+        raise MethodError("the trajectory's times are not finite and increasing")
+    index = np.clip(np.searchsorted(sequence.times, times - _slack(sequence)), 0, len(sequence) - 1)
+    wrong = np.flatnonzero(np.abs(sequence.times[index] - times) > _slack(sequence))
+    if len(wrong):
+        raise MethodError(f"the trajectory has a pose at {times[wrong[0]]:.9g} s, where there is no frame")
+    for i, T in zip(index, poses):
+        check_pose(T, f"the trajectory's frame {int(i)}")
+    bad = [k for k in estimate.keyframes if not 0 <= int(k) < given]
+    if bad:
+        raise MethodError(f"keyframe {bad[0]} is not one of the {given} frames given")
+    estimate.keyframes = sorted({int(k) for k in estimate.keyframes})
+    estimate.trajectory = Trajectory(np.asarray(sequence.times)[index], poses.copy())
+    return estimate
+
+
+def frame_indices(estimate: Estimate, sequence: Sequence) -> list[int]:
+    """Indices of the frames that have a pose in the estimate."""
+    return [int(i) for i in np.searchsorted(sequence.times, estimate.trajectory.times)]
+
+
+def _slack(sequence: Sequence) -> float:
+    """Times closer than this are the same frame: a microsecond, less where frames are closer."""
+    step = float(np.diff(sequence.times).min()) if len(sequence) > 1 else 1.0
+    return min(1e-6, step / 4)
+
+
+def _trajectory(live: dict[int, Pose], sequence: Sequence) -> Trajectory:
+    index = sorted(live)
+    return Trajectory(np.asarray(sequence.times)[index], np.array([live[i] for i in index]).reshape(-1, 4, 4))

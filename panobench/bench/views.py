@@ -1,0 +1,101 @@
+"""What the runner puts between a dataset and a method: the frames chosen, and a view without any truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets.base import Sequence
+from panobench.errors import DatasetError
+from panobench.types import Frame, Imu, NovelView, Trajectory
+
+
+class ChosenFrames(Sequence):
+    """Each ``every``-th frame of a sequence, at most ``max_frames``, renumbered from 0."""
+
+    def __init__(self, inner: Sequence, every: int = 1, max_frames: int | None = None) -> None:
+        if len(inner) == 0:
+            raise DatasetError(f"sequence '{inner.name}' has no frames")
+        self._inner = inner
+        self._index = np.arange(0, len(inner), every)[:max_frames]
+        self.name, self.dataset, self.camera = inner.name, inner.dataset, inner.camera
+        self.times = np.asarray(inner.times, dtype=np.float64)[self._index]
+        if not (np.isfinite(self.times).all() and (np.diff(self.times) > 0).all()):
+            raise DatasetError(f"sequence '{inner.name}': the times are not finite and increasing")
+
+    def original(self, index: int) -> int:
+        """The frame's number in the whole sequence."""
+        return int(self._index[index])
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self._inner.image(self.original(index))
+
+    def frame_name(self, index: int) -> str:
+        return self._inner.frame_name(self.original(index))
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        return self._inner.depth(self.original(index))
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        truth = self._inner.groundtruth
+        if truth is None:
+            return None
+        truth = truth.select(np.flatnonzero(np.isin(truth.times, self.times)))
+        return truth if len(truth) else None
+
+    @property
+    def imu(self) -> Imu | None:
+        return self._inner.imu
+
+    def novel_views(self) -> list[NovelView]:
+        return self._inner.novel_views()
+
+    def provenance(self) -> dict[str, Any]:
+        return self._inner.provenance()
+
+
+def held_out(n: int, holdout: int) -> list[int]:
+    """Indices of the frames that must not be mapped: each ``holdout``-th, never the first (0: none)."""
+    return list(range(holdout - 1, n, holdout)) if holdout else []
+
+
+def read_frame(
+    sequence: Sequence, index: int, mappable: bool = True, depth: NDArray[np.float32] | None = None
+) -> Frame:
+    """A frame with an image of its own, checked against the camera. Raises DatasetError naming the frame."""
+    image = sequence.image(index)
+    expected = (sequence.camera.height, sequence.camera.width, 3)
+    if image.shape != expected or image.dtype != np.uint8:
+        raise DatasetError(
+            f"the image is {image.shape} {image.dtype}, expected {expected} uint8",
+            frame=sequence.frame_name(index),
+        )
+    return Frame(index, float(sequence.times[index]), image.copy(), mappable, depth, sequence.frame_name(index))
+
+
+class BlindSequence(Sequence):
+    """What a batch method gets. The sequence itself is only reachable by the function that reads frames."""
+
+    def __init__(self, sequence: Sequence, holdout: frozenset[int] = frozenset(), imu: Imu | None = None) -> None:
+        self.name, self.dataset, self.camera = sequence.name, sequence.dataset, sequence.camera
+        self.times = sequence.times.copy()
+        self._imu = imu
+        self._read: Callable[[int], Frame] = lambda index: read_frame(sequence, index, index not in holdout)
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self._read(index).image
+
+    def frame_name(self, index: int) -> str:
+        return f"{index:06d}"
+
+    @property
+    def imu(self) -> Imu | None:
+        return self._imu
+
+    def frames(self) -> Iterator[Frame]:
+        for index in range(len(self)):
+            yield self._read(index)

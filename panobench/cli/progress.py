@@ -1,0 +1,78 @@
+"""The progress bar of `panobench run`: frame, frames per second, error so far."""
+
+from __future__ import annotations
+
+import time as clock
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from panobench.bench.observer import Observer
+from panobench.geometry import umeyama
+
+if TYPE_CHECKING:
+    from panobench.types import Trajectory
+
+#: Seconds between two updates of the error, which needs an alignment.
+_ERROR_PERIOD_S = 0.5
+
+
+class ProgressBar(Observer):
+    """On standard error; silent where that is no terminal."""
+
+    def __init__(self, title: str, console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True)
+        self._title = title
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TextColumn("{task.fields[error]}"),
+            TimeRemainingColumn(),
+            console=self._console,
+            disable=not self._console.is_terminal,
+        )
+        self._task = self._progress.add_task(title, total=None, rate="", error="")
+        self._truth: dict[float, NDArray[np.float64]] = {}
+        self._estimated: list[NDArray[np.float64]] = []
+        self._true: list[NDArray[np.float64]] = []
+        self._busy_s = 0.0
+        self._last_error = 0.0
+
+    def __enter__(self) -> ProgressBar:
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._progress.stop()
+
+    def stage(self, text: str) -> None:
+        self._progress.update(self._task, description=f"{self._title}: {text}")
+
+    def started(self, total: int, truth: Trajectory | None) -> None:
+        self._progress.update(self._task, total=total)
+        if truth is not None:
+            self._truth = dict(zip(truth.times.tolist(), truth.positions))
+
+    def frame(self, index: int, time: float, T_wc: NDArray[np.float64] | None, latency_s: float) -> None:
+        self._busy_s += latency_s
+        if T_wc is not None and time in self._truth:
+            self._estimated.append(T_wc[:3, 3])
+            self._true.append(self._truth[time])
+        self._progress.update(self._task, completed=index + 1, rate=f"{(index + 1) / max(self._busy_s, 1e-9):.1f} fps")
+        now = clock.monotonic()
+        if len(self._true) >= 3 and now - self._last_error >= _ERROR_PERIOD_S:
+            self._last_error = now
+            self._progress.update(self._task, error=f"ATE {1e3 * self._error_so_far():.1f} mm")
+
+    def _error_so_far(self) -> float:
+        estimated, true = np.array(self._estimated), np.array(self._true)
+        moved = umeyama(estimated, true).apply_points(estimated)
+        return float(np.sqrt(((moved - true) ** 2).sum(axis=1).mean()))

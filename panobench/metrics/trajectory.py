@@ -1,0 +1,91 @@
+"""ATE, RPE and rotation error by evo; definitions in docs/protocol.md."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from panobench.metrics.alignment import Matched, match, moves
+from panobench.metrics.base import MetricInput
+from panobench.types import Trajectory
+
+
+def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
+    """Errors in the ground truth's unit and degrees. None, with a note, where the error is not defined."""
+    estimate = data.estimate
+    matched = match(estimate.trajectory, data.sequence.groundtruth)
+    if matched is None:
+        data.notes["ate_rmse_m"] = "no ground truth" if data.sequence.groundtruth is None else "no tracked frame"
+        return {}
+    values: dict[str, float | None] = {"path_length_m": matched.truth.path_length()}
+    with_scale = not estimate.metric
+    aligned = align(matched, with_scale)
+    if aligned is None:
+        data.notes["ate_rmse_m"] = "fewer than three poses, or a camera that does not move: alignment is undefined"
+        return values
+    values["ate_rmse_m"] = _ape(aligned, "translation_part")
+    values["ate_rotation_rmse_deg"] = _ape(aligned, "rotation_angle_deg")
+    values["rpe_trans_rmse_m"] = _rpe(aligned, "translation_part")
+    values["rpe_rotation_rmse_deg"] = _rpe(aligned, "rotation_angle_deg")
+    values["scale"] = aligned.scale
+    keyframes = _keyframes(matched, data)
+    aligned_keyframes = align(keyframes, with_scale) if keyframes is not None else None
+    if aligned_keyframes is not None:
+        values["ate_keyframes_rmse_m"] = _ape(aligned_keyframes, "translation_part")
+    return values
+
+
+class Aligned:
+    """evo trajectories: the truth and the estimate moved onto it."""
+
+    def __init__(self, truth: Any, estimate: Any, scale: float) -> None:
+        self.truth, self.estimate, self.scale = truth, estimate, scale
+
+
+def align(matched: Matched, with_scale: bool) -> Aligned | None:
+    """Umeyama alignment by evo. None under three poses or when either camera stays where it is."""
+    if len(matched) < 3 or not moves(matched.truth.positions) or not moves(matched.estimate.positions):
+        return None
+    from evo.core.geometry import GeometryException
+
+    truth, estimate = _evo(matched.truth), _evo(matched.estimate)
+    try:
+        _, _, scale = estimate.align(truth, correct_scale=with_scale)
+    except GeometryException:
+        # Poses on one line leave a rotation about it free. Positions, and so the errors, do not depend on it.
+        from panobench.geometry import umeyama
+
+        sim3 = umeyama(matched.estimate.positions, matched.truth.positions, with_scale)
+        moved = Trajectory(matched.estimate.times, sim3.apply_poses(matched.estimate.T_wc))
+        estimate, scale = _evo(moved), sim3.scale
+    return Aligned(truth, estimate, float(scale) if with_scale else 1.0)
+
+
+def _evo(trajectory: Trajectory) -> Any:
+    from evo.core.trajectory import PoseTrajectory3D
+
+    return PoseTrajectory3D(poses_se3=list(trajectory.T_wc.copy()), timestamps=trajectory.times.copy())
+
+
+def _ape(aligned: Aligned, relation: str) -> float:
+    from evo.core import metrics
+
+    ape = metrics.APE(metrics.PoseRelation[relation])
+    ape.process_data((aligned.truth, aligned.estimate))
+    return float(ape.get_statistic(metrics.StatisticsType.rmse))
+
+
+def _rpe(aligned: Aligned, relation: str) -> float:
+    """Between consecutive tracked frames."""
+    from evo.core import metrics
+
+    rpe = metrics.RPE(metrics.PoseRelation[relation], delta=1, delta_unit=metrics.Unit.frames, all_pairs=True)
+    rpe.process_data((aligned.truth, aligned.estimate))
+    return float(rpe.get_statistic(metrics.StatisticsType.rmse))
+
+
+def _keyframes(matched: Matched, data: MetricInput) -> Matched | None:
+    times = np.asarray(data.sequence.times)[data.estimate.keyframes]
+    chosen = np.flatnonzero(np.isin(matched.estimate.times, times))
+    return Matched(matched.estimate.select(chosen), matched.truth.select(chosen)) if len(chosen) else None

@@ -1,0 +1,35 @@
+"""Fixtures for the whole suite."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def fake_plugin_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that, on PYTHONPATH, makes ``tests/bench/fake_plugin.py`` an installed panobench plugin."""
+    site = tmp_path_factory.mktemp("site")
+    shutil.copy(Path(__file__).parent / "bench" / "fake_plugin.py", site / "fake_plugin.py")
+    info = site / "panobench_fake-1.5.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: panobench-fake\nVersion: 1.5\n")
+    (info / "entry_points.txt").write_text("[panobench]\nfake = fake_plugin\n")
+    return site
+
+
+@pytest.fixture
+def fake_plugin(fake_plugin_site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The fake plugin, registered in this process and in those it starts."""
+    from panobench.plugins import registry
+
+    monkeypatch.syspath_prepend(str(fake_plugin_site))
+    monkeypatch.setenv("PYTHONPATH", str(fake_plugin_site), prepend=":")
+    registry.cache_clear()
+    yield fake_plugin_site
+    registry.cache_clear()
+    sys.modules.pop("fake_plugin", None)
