@@ -10,7 +10,6 @@ from __future__ import annotations
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("panobench.cli.run", "Run one method on one sequence and store the run."),
     "report": ("panobench.cli.report", "Write one offline HTML file, or tables, from stored runs."),
-    "plugin": ("panobench.cli.plugin", "Write a plugin package, or check one against the contract."),
     "list": ("panobench.cli.list", "Show every camera, dataset, method, depth estimator, metric and study."),
     "plugin": ("panobench.cli.plugin", "Write a plugin package, or check one against the contract."),
     "convert": ("panobench.cli.convert", "Convert a dataset to another camera model."),
