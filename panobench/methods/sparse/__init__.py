@@ -1,0 +1,1 @@
+"""Camera-agnostic feature SLAM on bearing vectors; see ``method.py``."""

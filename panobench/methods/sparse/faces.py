@@ -1,0 +1,205 @@
+"""Any central camera as a set of perspective "faces": the only place of ``sparse`` that sees the camera model.
+
+A wide camera (panorama, annular lens, fisheye) becomes the sides of a cube, each with a margin so that patches
+at an edge are whole; poles and seam of a panorama are then ordinary places. A camera of moderate field of view is
+one face, resampled only if it is distorted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+
+Array = NDArray[np.float64]
+
+#: Border around the 90 degrees of a cube side, in face pixels: half of a coarse patch and room to search.
+MARGIN = 28
+#: A camera whose rays all have at least this cosine to its axis is seen as a single face.
+SINGLE_FACE_COSINE = 0.25
+#: Rows added beyond each pole of a panorama for the interpolation.
+POLE_ROWS = 2
+
+
+@dataclass
+class FaceRig:
+    """F faces of H x W pixels.
+
+    R_fc (F, 3, 3) takes camera rays to face rays; intrinsics (4,) are fx, fy, cx, cy (pixel centres at k + 0.5).
+    valid (F, H, W) bool: the pixel shows something. core (F, H, W): valid, away from edges, and nearest to this
+    face (corners are searched there). focal: pixels per radian, the unit of residuals. map_u, map_v (F * H, W): where
+    each face pixel is in the image (None: the image is the face). wraps: the image is a closed panorama.
+    source_scale: face pixels per image pixel.
+    """
+
+    R_fc: Array
+    intrinsics: Array
+    size: tuple[int, int]
+    valid: NDArray[np.bool_]
+    core: NDArray[np.bool_]
+    focal: float
+    map_u: NDArray[np.float32] | None
+    map_v: NDArray[np.float32] | None
+    wraps: bool = False
+    source_scale: float = 1.0
+
+    @property
+    def count(self) -> int:
+        return len(self.R_fc)
+
+    def pyramid(self, image: NDArray[np.uint8], levels: int) -> list[NDArray[np.uint8]]:
+        """RGB or grey image (H, W[, 3]) -> per level the grey faces (F, H / 2^l, W / 2^l)."""
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+        if self.source_scale < 0.7:  # avoid aliasing when the faces are much coarser than the image
+            grey = cv2.GaussianBlur(grey, (0, 0), 0.4 / self.source_scale)
+        h, w = self.size
+        if self.map_u is not None and self.map_v is not None:
+            if self.wraps:  # beyond a pole the panorama continues on the opposite meridian
+                half = grey.shape[1] // 2
+                over = [np.roll(rows[::-1], half, axis=1) for rows in (grey[:POLE_ROWS], grey[-POLE_ROWS:])]
+                grey = np.concatenate([over[0], grey, over[1]])
+            border = cv2.BORDER_WRAP if self.wraps else cv2.BORDER_REPLICATE
+            tall = cv2.remap(grey, self.map_u, self.map_v, cv2.INTER_CUBIC, borderMode=border)
+        else:
+            tall = cv2.copyMakeBorder(grey, 0, h - grey.shape[0], 0, w - grey.shape[1], cv2.BORDER_REPLICATE)
+        out: list[NDArray[np.uint8]] = [np.ascontiguousarray(tall, dtype=np.uint8).reshape(self.count, h, w)]
+        for level in range(1, levels):
+            # Heights are multiples of 2^levels, so the 2x2 means never mix two faces.
+            half = (w >> level, self.count * (h >> level))
+            tall = cv2.resize(tall, half, interpolation=cv2.INTER_AREA)
+            out.append(np.asarray(tall, dtype=np.uint8).reshape(self.count, h >> level, w >> level))
+        return out
+
+    def rays(self, face: int, pixels: Array) -> Array:
+        """Pixels (N, 2) of one face -> unit rays (N, 3) in the camera frame."""
+        fx, fy, cx, cy = self.intrinsics
+        d = np.column_stack([(pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy, np.ones(len(pixels))])
+        d = d @ self.R_fc[face]
+        return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+
+
+def build_rig(camera: Camera, max_pixels: int, levels: int) -> FaceRig:
+    """Choose faces for a camera. The face resolution follows the camera's mean angular resolution over the sphere."""
+    valid = camera.valid_mask()
+    rays = camera.rays()
+    omega = camera.solid_angle()
+    usable = valid & (omega > 0)
+    total = float(omega[usable].sum())
+    pixel_angle = float((omega[usable] ** 1.5).sum()) / total if total > 0 else 2 * np.pi / camera.width
+    multiple = 1 << (levels - 1)
+    if usable.any() and float(rays[usable][:, 2].min()) > SINGLE_FACE_COSINE:
+        return _single_face(camera, rays, usable, pixel_angle, max_pixels, multiple)
+    return _cube(camera, usable, pixel_angle, max_pixels, multiple)
+
+
+def _round_up(value: float, multiple: int) -> int:
+    return int(np.ceil(value / multiple)) * multiple
+
+
+def _single_face(
+    camera: Camera, rays: Array, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int
+) -> FaceRig:
+    x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
+    grid = camera.pixel_grid()
+    # An undistorted camera has u affine in x/z: then the image itself is the face.
+    fx, cx = np.polyfit(x[usable], grid[..., 0][usable], 1)
+    fy, cy = np.polyfit(y[usable], grid[..., 1][usable], 1)
+    straight = max(
+        float(np.abs(fx * x + cx - grid[..., 0])[usable].max()), float(np.abs(fy * y + cy - grid[..., 1])[usable].max())
+    )
+    if straight < 0.02 and camera.width * camera.height <= max_pixels:
+        h, w = _round_up(camera.height, multiple), _round_up(camera.width, multiple)
+        mask = np.zeros((1, h, w), bool)
+        mask[0, : camera.height, : camera.width] = camera.valid_mask()
+        intrinsics = np.array([fx, fy, cx, cy])
+        return FaceRig(np.eye(3)[None], intrinsics, (h, w), mask, _erode(mask), float(np.sqrt(fx * fy)), None, None)
+    x0, x1, y0, y1 = (float(f(a[usable])) for a in (x, y) for f in (np.min, np.max))
+    focal = min(1.0 / pixel_angle, float(np.sqrt(max_pixels / ((x1 - x0) * (y1 - y0)))))
+    w, h = _round_up(focal * (x1 - x0), multiple), _round_up(focal * (y1 - y0), multiple)
+    intrinsics = np.array([focal, focal, -focal * x0, -focal * y0])
+    return _resampled(camera, np.eye(3)[None], intrinsics, (h, w), focal, pixel_angle, wide=False)
+
+
+def _cube(camera: Camera, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int) -> FaceRig:
+    sides = np.array(
+        [
+            [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+            [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+            [[-1, 0, 0], [0, 1, 0], [0, 0, -1]],
+            [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+            [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+            [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        ],
+        dtype=np.float64,
+    )
+    looks = camera.rays()[usable]
+    if len(looks):
+        nearest = np.argmax(looks @ sides[:, 2].T, axis=1)
+        share = np.bincount(nearest, weights=camera.solid_angle()[usable], minlength=6)
+        sides = sides[share > 0.05]
+    widest = np.sqrt(max_pixels / max(1, len(sides))) / 2 - MARGIN
+    focal = float(min(1.0 / pixel_angle, widest))
+    half = _round_up(2 * (focal + MARGIN), 2 * multiple) // 2
+    intrinsics = np.array([focal, focal, float(half), float(half)])
+    return _resampled(camera, sides, intrinsics, (2 * half, 2 * half), focal, pixel_angle, wide=True)
+
+
+def _resampled(
+    camera: Camera,
+    R_fc: Array,
+    intrinsics: Array,
+    size: tuple[int, int],
+    focal: float,
+    pixel_angle: float,
+    wide: bool,
+) -> FaceRig:
+    h, w = size
+    fx, fy, cx, cy = intrinsics
+    u, v = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)
+    d = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones((h, w))], axis=-1)
+    rays = np.einsum("hwi,fij->fhwj", d, R_fc)
+    pixels, ok = camera.project(rays)
+    finite = np.isfinite(pixels[..., 0]) & np.isfinite(pixels[..., 1])
+    pixels = np.where(finite[..., None], pixels, -1.0)
+    mask = camera.valid_mask()
+    col = np.clip(np.floor(pixels[..., 0]).astype(int), 0, camera.width - 1)
+    row = np.clip(np.floor(pixels[..., 1]).astype(int), 0, camera.height - 1)
+    valid = ok & finite & mask[row, col]
+    map_u = (pixels[..., 0] - 0.5).astype(np.float32)
+    map_v = (pixels[..., 1] - 0.5).astype(np.float32)
+    # A panorama continues over its seam: the interpolation of the outermost columns must too.
+    left, right = camera.unproject(np.array([[0.5, camera.height / 2], [camera.width - 0.5, camera.height / 2]]))
+    wraps = wide and float(np.dot(left, right)) > np.cos(3 * pixel_angle)
+    if wraps:
+        map_v += POLE_ROWS
+    core = _erode(valid)
+    if wide and len(R_fc) > 1:
+        own = np.argmax(np.einsum("fhwj,kj->fhwk", rays, R_fc[:, 2]), axis=-1) == np.arange(len(R_fc))[:, None, None]
+        core &= own
+    return FaceRig(
+        R_fc,
+        intrinsics,
+        size,
+        valid,
+        core,
+        focal,
+        map_u.reshape(-1, w),
+        map_v.reshape(-1, w),
+        wraps,
+        focal * pixel_angle,
+    )
+
+
+def _erode(valid: NDArray[np.bool_], radius: int = 8) -> NDArray[np.bool_]:
+    """Pixels whose neighbourhood is valid and inside the face, so that a patch there is whole."""
+    kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+    return np.stack(
+        [
+            cv2.erode(v.astype(np.uint8), kernel, borderType=cv2.BORDER_CONSTANT, borderValue=(0,)).astype(bool)
+            for v in valid
+        ]
+    )

@@ -1,0 +1,245 @@
+"""The first map: corners of a reference frame are tracked until the parallax allows two-view geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.geometry import make_pose
+from panobench.methods.sparse.adjust import bundle_adjust, pose_errors, solve_pose
+from panobench.methods.sparse.config import SparseConfig
+from panobench.methods.sparse.detect import detect_corners
+from panobench.methods.sparse.faces import FaceRig
+from panobench.methods.sparse.patches import align_level, cut_templates
+from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, Keyframe, PointMap
+from panobench.methods.sparse.tracking import LIMITS, Pyramid
+from panobench.methods.sparse.twoview import essential_ransac
+
+Array = NDArray[np.float64]
+
+#: The first map is scaled to this median distance.
+MEDIAN_DISTANCE = 2.0
+
+
+@dataclass
+class Glimpse:
+    """A frame before there is a map: which tracks it saw and where."""
+
+    index: int
+    time: float
+    mappable: bool
+    rotation: Array
+    tracks: NDArray[np.int64]
+    bearings: Array
+
+
+@dataclass
+class Initialiser:
+    """Tracks corners from one reference frame; ``add`` returns a map once two views explain them."""
+
+    rig: FaceRig
+    config: SparseConfig
+    rng: np.random.Generator
+    glimpses: list[Glimpse] = field(default_factory=list)
+
+    def reset(self) -> None:
+        self.glimpses = []
+
+    def _start(self, pyramid: Pyramid, index: int, time: float) -> None:
+        corners = detect_corners(self.rig, pyramid[0], self.config.features, np.empty((0, 3)))
+        if len(corners) < 2 * self.config.min_inliers:
+            return
+        self.anchors = corners
+        self.templates = cut_templates(pyramid, self.rig.R_fc, self.rig.intrinsics, corners, self.rig.focal)
+        self.current = corners.copy()
+        self.alive = np.ones(len(corners), bool)
+        self.spin = np.eye(3)
+        self.glimpses = [Glimpse(index, time, True, np.eye(3), np.arange(len(corners)), corners.copy())]
+
+    def add(self, pyramid: Pyramid, index: int, time: float, mappable: bool) -> tuple[PointMap, list[Glimpse]] | None:
+        """The map and the frames it explains, or None: more frames, please."""
+        if not self.glimpses:
+            if mappable:
+                self._start(pyramid, index, time)
+            return None
+        R = self._follow(pyramid)
+        if R is None:
+            self.reset()
+            if mappable:
+                self._start(pyramid, index, time)
+            return None
+        tracks = np.flatnonzero(self.alive)
+        self.glimpses.append(Glimpse(index, time, mappable, R, tracks, self.current[tracks].copy()))
+        turned = self.anchors[tracks] @ R.T
+        parallax = np.degrees(np.arccos(np.clip(np.sum(turned * self.current[tracks], axis=1), -1, 1)))
+        shrinking = len(tracks) < 0.5 * len(self.anchors)
+        needed = self.config.init_parallax * (0.5 if shrinking else 1.0)
+        if mappable and float(np.median(parallax)) > needed:
+            built = self._build(pyramid)
+            if built is not None:
+                return built, self.glimpses
+        if len(tracks) < max(2 * self.config.min_inliers, 0.25 * len(self.anchors)):
+            self.reset()
+            if mappable:
+                self._start(pyramid, index, time)
+        return None
+
+    def _follow(self, pyramid: Pyramid) -> Array | None:
+        """Track all corners into the frame; its rotation from the reference, or None when they are gone."""
+        last = self.glimpses[-1].rotation
+        R = self.spin @ last
+        bearings = self.current @ self.spin.T
+        ok = self.alive.copy()
+        score = np.zeros(len(ok))
+        zero = np.zeros(len(ok), np.int64)
+        for level in range(len(pyramid) - 1, -1, -1):
+            before = ok.copy()
+            kept = bearings.copy()
+            align_level(
+                pyramid[level],
+                self.rig.valid,
+                level,
+                self.rig.R_fc,
+                self.rig.intrinsics,
+                self.rig.focal,
+                np.ascontiguousarray(self.templates[:, level]),
+                self.anchors,
+                np.zeros(len(ok)),
+                R[None],
+                np.zeros((1, 3)),
+                zero,
+                bearings,
+                ok,
+                score,
+                LIMITS[min(len(pyramid) - 1 - level, len(LIMITS) - 1)] * (1.5 if level else 1.0),
+            )
+            if level > 0:  # a level without texture decides nothing
+                failed = before & (~ok | (score < 0.5))
+                bearings[failed] = kept[failed]
+                ok = before
+                use = ok & ~failed
+                if int(use.sum()) >= self.config.min_inliers:
+                    R = _robust_rotation(self.anchors[use], bearings[use])
+        ok &= score > self.config.min_zncc
+        if int(ok.sum()) < self.config.min_inliers:
+            return None
+        self.alive, self.current = ok, bearings
+        R = _robust_rotation(self.anchors[ok], bearings[ok])
+        self.spin = R @ last.T
+        return R
+
+    def _build(self, pyramid: Pyramid) -> PointMap | None:
+        focal = self.rig.focal
+        last = self.glimpses[-1]
+        b1, b2 = self.anchors[last.tracks], last.bearings
+        two = essential_ransac(b1, b2, 1.5 / focal, self.rng, 200, np.deg2rad(0.3))
+        if two is None or int(two.inliers.sum()) < max(2 * self.config.min_inliers, 0.5 * len(b1)):
+            return None
+        tracks = last.tracks[two.inliers]
+        points = two.points[two.inliers]
+        distance = np.linalg.norm(points, axis=1)
+        scale = MEDIAN_DISTANCE / float(np.median(distance))
+        points, t = points * scale, two.t * scale
+        frames = self._spread()
+        T = [np.eye(4), *self._between(frames, points, tracks, make_pose(two.R, t)), make_pose(two.R, t)]
+        chosen = [0, *frames, len(self.glimpses) - 1]
+        slot = np.full(len(self.anchors), -1)
+        slot[tracks] = np.arange(len(tracks))
+        kf, pt, b = [], [], []
+        for k, g in enumerate(chosen):
+            use = slot[self.glimpses[g].tracks] >= 0
+            kf.append(np.full(int(use.sum()), k))
+            pt.append(slot[self.glimpses[g].tracks[use]])
+            b.append(self.glimpses[g].bearings[use])
+        kfs, pts, bs = np.concatenate(kf), np.concatenate(pt), np.concatenate(b)
+        fixed = np.zeros(len(chosen), bool)
+        fixed[0] = True
+        result = bundle_adjust(np.stack(T), points, kfs, pts, bs, fixed, focal, self.config.huber_px, 20)
+        worst = np.zeros(len(points))
+        np.maximum.at(worst, pts, result.errors)
+        centre = -result.T_cw[-1, :3, :3].T @ result.T_cw[-1, :3, 3]
+        angle = np.degrees(_angle_between(result.points, result.points - centre))
+        ahead = np.sum(result.points * self.anchors[tracks], axis=1) > 0
+        good = (worst < 2.0) & (angle > 0.6 * self.config.min_parallax) & ahead
+        if int(good.sum()) < 2 * self.config.min_inliers or float(np.median(angle[good])) < self.config.min_parallax:
+            return None
+        scale = MEDIAN_DISTANCE / float(np.median(np.linalg.norm(result.points[good], axis=1)))
+        return self._make_map(result.points * scale, tracks, good, result.T_cw, chosen, scale)
+
+    def _spread(self) -> list[int]:
+        """Up to three mappable frames between the two views."""
+        inner = [i for i in range(1, len(self.glimpses) - 1) if self.glimpses[i].mappable]
+        if not inner:
+            return []
+        pick = np.unique(np.linspace(0, len(inner) - 1, min(3, len(inner))).round().astype(int))
+        return [inner[i] for i in pick]
+
+    def _between(self, frames: list[int], points: Array, tracks: NDArray[np.int64], T_last: Array) -> list[Array]:
+        where = np.full(len(self.anchors), -1)
+        where[tracks] = np.arange(len(tracks))
+        return [
+            solve_glimpse(self.glimpses[g], points, where, T_last, self.rig.focal, len(self.glimpses), g)
+            for g in frames
+        ]
+
+    def _make_map(
+        self,
+        points: Array,
+        tracks: NDArray[np.int64],
+        good: NDArray[np.bool_],
+        T_cw: Array,
+        chosen: list[int],
+        scale: float,
+    ) -> PointMap:
+        m = PointMap(self.config.levels)
+        # Corners that did not make it keep being tracked, as candidates at the median distance.
+        position = self.anchors * MEDIAN_DISTANCE
+        position[tracks[good]] = points[good]
+        state = np.full(len(self.anchors), CANDIDATE)
+        state[tracks[good]] = ACTIVE
+        m.add(
+            len(self.anchors),
+            position=position,
+            state=state,
+            anchor_bearing=self.anchors,
+            bearing=self.current,
+            last_seen=self.glimpses[-1].index,
+            template=self.templates,
+        )
+        m.state[(m.state == CANDIDATE) & ~self.alive] = 2
+        for number, (g, T) in enumerate(zip(chosen, T_cw)):
+            T = T.copy()
+            T[:3, 3] *= scale
+            glimpse = self.glimpses[g]
+            m.keyframes.append(Keyframe(number, glimpse.index, T, glimpse.tracks.copy(), glimpse.bearings.copy()))
+        return m
+
+
+def solve_glimpse(
+    glimpse: Glimpse, points: Array, where: NDArray[np.int64], T_last: Array, focal: float, count: int, position: int
+) -> Array:
+    """Pose of an earlier frame from points (P, 3); where maps a track to its point or -1."""
+    T = make_pose(glimpse.rotation, T_last[:3, 3] * position / max(1, count - 1))
+    use = where[glimpse.tracks] >= 0
+    X, b = points[where[glimpse.tracks[use]]], glimpse.bearings[use]
+    T = solve_pose(T, X, b, focal, 1.0, 20)
+    near = pose_errors(T, X, b, focal) < 3.0
+    return solve_pose(T, X[near], b[near], focal, 1.0, 10) if int(near.sum()) >= 6 else T
+
+
+def _angle_between(a: Array, b: Array) -> Array:
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+
+
+def _robust_rotation(a: Array, b: Array) -> Array:
+    """Rotation taking unit vectors a (N, 3) to b (N, 3): Kabsch, reweighted by the residual angle."""
+    w = np.ones(len(a))
+    R = np.eye(3)
+    for _ in range(4):
+        U, _, Vt = np.linalg.svd((b * w[:, None]).T @ a)
+        R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        r = np.linalg.norm(a @ R.T - b, axis=1)
+        w = 1.0 / np.maximum(r, 0.3 * np.median(r) + 1e-6)
+    return np.asarray(R)

@@ -1,0 +1,171 @@
+"""Growing and refining the map at keyframes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from panobench.geometry import invert_pose
+from panobench.methods.sparse.adjust import bundle_adjust
+from panobench.methods.sparse.config import SparseConfig
+from panobench.methods.sparse.detect import detect_corners
+from panobench.methods.sparse.faces import FaceRig
+from panobench.methods.sparse.patches import cut_templates
+from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, Keyframe, PointMap
+
+Array = NDArray[np.float64]
+
+#: Observations further off than this after bundle adjustment are dropped, pixels.
+OUTLIER_PX = 3.0
+
+
+def ray_distance(b1: Array, b2: Array, R: Array, t: Array) -> tuple[Array, Array]:
+    """Distance along b1 (N, 3) to where b2 (N, 3) passes, x2 = R x1 + t with R (N, 3, 3), t (N, 3); and the
+    angle between the rays (N,). Negative where they meet behind, 0 where they are parallel."""
+    r = np.einsum("nij,nj->ni", R, b1)
+    cross = np.cross(b2, r)
+    angle = np.arctan2(np.linalg.norm(cross, axis=1), np.sum(r * b2, axis=1))
+    # s r + t is parallel to b2: s (b2 x r) = -(b2 x t), in the least-squares sense.
+    denom = np.sum(cross * cross, axis=1)
+    s = -np.sum(cross * np.cross(b2, t), axis=1) / np.maximum(denom, 1e-18)
+    return np.where(denom > 1e-14, s, 0.0), angle
+
+
+def add_candidates(
+    m: PointMap, rig: FaceRig, config: SparseConfig, pyramid: list[NDArray[np.uint8]], keyframe: Keyframe
+) -> int:
+    """Detect corners in the keyframe where it has none and start points there at their neighbours' depth."""
+    seen = keyframe.bearings
+    wanted = config.features - len(seen)
+    fresh = detect_corners(rig, pyramid[0], wanted, seen)
+    if len(fresh) == 0:
+        return 0
+    T_wc = invert_pose(keyframe.T_cw)
+    known = m.state[keyframe.points] == ACTIVE
+    distance = np.full(len(fresh), 2.0)
+    if int(known.sum()) >= 3:
+        depth = np.linalg.norm(m.position[keyframe.points[known]] - T_wc[:3, 3], axis=1)
+        gap, near = cKDTree(seen[known]).query(fresh, k=3)
+        weight = 1.0 / (gap + 1e-3)
+        distance = np.sum(weight, axis=1) / np.sum(weight / depth[near], axis=1)
+    ids = m.add(
+        len(fresh),
+        state=CANDIDATE,
+        anchor=keyframe.number,
+        anchor_bearing=fresh,
+        bearing=fresh,
+        last_seen=keyframe.frame,
+        position=(fresh * distance[:, None]) @ T_wc[:3, :3].T + T_wc[:3, 3],
+        template=cut_templates(pyramid, rig.R_fc, rig.intrinsics, fresh, rig.focal),
+    )
+    keyframe.points = np.concatenate([keyframe.points, ids])
+    keyframe.bearings = np.concatenate([keyframe.bearings, fresh])
+    return len(fresh)
+
+
+def promote_candidates(m: PointMap, config: SparseConfig, keyframe: Keyframe) -> int:
+    """Give a depth to the candidates this keyframe sees under enough parallax from their anchor."""
+    mine = np.flatnonzero(m.state[keyframe.points] == CANDIDATE)
+    mine = mine[m.anchor[keyframe.points[mine]] != keyframe.number]
+    if len(mine) == 0:
+        return 0
+    ids = keyframe.points[mine]
+    T_wa = invert_pose(m.poses())[m.anchor[ids]]
+    rel = keyframe.T_cw @ T_wa
+    distance, angle = ray_distance(m.anchor_bearing[ids], keyframe.bearings[mine], rel[:, :3, :3], rel[:, :3, 3])
+    good = (distance > 0) & (angle > np.deg2rad(config.min_parallax))
+    ids, distance, T_wa = ids[good], distance[good], T_wa[good]
+    m.position[ids] = (
+        np.einsum("nij,nj->ni", T_wa[:, :3, :3], m.anchor_bearing[ids] * distance[:, None]) + T_wa[:, :3, 3]
+    )
+    m.state[ids] = ACTIVE
+    return len(ids)
+
+
+def drop_lost_candidates(m: PointMap, misses: int = 3) -> None:
+    """Candidates that failed several frames in a row never become points."""
+    dead = (m.state == CANDIDATE) & (m.misses >= misses)
+    m.state[dead] = DEAD
+
+
+def adjust_window(m: PointMap, config: SparseConfig, focal: float, members: list[int], iterations: int) -> float:
+    """Bundle adjustment of some keyframes and the points they see; keyframes outside that see them stay fixed.
+
+    Drops observations that end up as outliers and points left with fewer than two. Returns the RMS in pixels.
+    """
+    chosen = np.zeros(m.size, bool)
+    for number in members:
+        chosen[m.keyframes[number].points] = True
+    chosen &= m.state == ACTIVE
+    kf_list, pt_list, b_list, at_list = [], [], [], []
+    for k in m.keyframes:
+        use = np.flatnonzero(chosen[k.points])
+        if len(use) == 0:
+            continue
+        kf_list.append(np.full(len(use), k.number))
+        pt_list.append(k.points[use])
+        b_list.append(k.bearings[use])
+        at_list.append(use)
+    if not kf_list:
+        return 0.0
+    kf, pt, b = np.concatenate(kf_list), np.concatenate(pt_list), np.concatenate(b_list)
+    at = np.concatenate(at_list)
+    numbers, kf_local = np.unique(kf, return_inverse=True)
+    ids, pt_local = np.unique(pt, return_inverse=True)
+    fixed = ~np.isin(numbers, members)
+    if not fixed.any():
+        fixed[np.argmin(numbers)] = True  # the gauge
+    T = m.poses()[numbers]
+    result = bundle_adjust(T, m.position[ids], kf_local, pt_local, b, fixed, focal, config.huber_px, iterations)
+    m.position[ids] = result.points
+    for number, pose, held in zip(numbers, result.T_cw, fixed):
+        if not held:
+            m.keyframes[number].T_cw = pose
+    outlier = result.errors > OUTLIER_PX
+    for number in np.unique(kf[outlier]):
+        key = m.keyframes[number]
+        lost = np.zeros(len(key.points), bool)
+        lost[at[outlier & (kf == number)]] = True
+        key.drop(lost)
+    remaining = np.bincount(pt_local[~outlier], minlength=len(ids))
+    m.state[ids[remaining < 2]] = DEAD
+    inliers = result.errors[~outlier]
+    return float(np.sqrt(np.mean(inliers**2))) if len(inliers) else 0.0
+
+
+def local_window(m: PointMap, newest: int, size: int) -> list[int]:
+    """The newest keyframe and those sharing most active points with it."""
+    seen = np.zeros(m.size, bool)
+    seen[m.keyframes[newest].points] = True
+    seen &= m.state == ACTIVE
+    shared = np.array([int(seen[k.points].sum()) for k in m.keyframes])
+    shared[newest] = np.iinfo(np.int64).max
+    # Of equally connected ones the recent: their poses are the least settled.
+    recent = np.arange(len(shared))
+    order = np.lexsort((-recent, -np.minimum(shared, max(1, int(0.5 * seen.sum())))))
+    order = np.concatenate([[newest], order[order != newest]])
+    return sorted(int(k) for k in order[:size] if shared[k] >= 10)
+
+
+def reanchor(
+    m: PointMap, rig: FaceRig, pyramid: list[NDArray[np.uint8]], keyframe: Keyframe, max_angle: float = 25.0
+) -> None:
+    """Cut fresh templates for points now seen from another side or scale than their template."""
+    ids = keyframe.points
+    use = (m.state[ids] == ACTIVE) & (m.anchor[ids] != keyframe.number)
+    ids, b = ids[use], keyframe.bearings[use]
+    if len(ids) == 0:
+        return
+    centres = m.centres()
+    then = m.position[ids] - centres[m.anchor[ids]]
+    now = m.position[ids] - centres[keyframe.number]
+    d0, d1 = np.linalg.norm(then, axis=1), np.linalg.norm(now, axis=1)
+    angle = np.degrees(np.arccos(np.clip(np.sum(then * now, axis=1) / (d0 * d1), -1, 1)))
+    stale = (angle > max_angle) | (d1 < 0.65 * d0) | (d1 > 1.6 * d0)
+    ids, b = ids[stale], b[stale]
+    if len(ids) == 0:
+        return
+    m.template[ids] = cut_templates(pyramid, rig.R_fc, rig.intrinsics, b, rig.focal)
+    m.anchor[ids] = keyframe.number
+    m.anchor_bearing[ids] = b

@@ -1,0 +1,258 @@
+"""Numba kernels on image patches: cutting them out of the tangent plane of a bearing, and aligning them.
+
+A template is stored on the tangent plane of the bearing where its point was first seen, so it belongs to no face
+and no camera model. Alignment warps it into the current face by the point's predicted motion and solves the
+remaining 2-D shift coarse to fine: inverse-compositional Gauss-Newton with an intensity offset (Baker & Matthews,
+"Lucas-Kanade 20 years on", IJCV 2004; the use for sparse points follows Forster et al., SVO, 2014).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+#: Side of a stored template; large enough for an 8x8 window rotated and scaled inside it.
+STORED = 16
+WINDOW = 8
+_HALF = WINDOW // 2
+
+
+@njit(cache=True)
+def tangent_basis(x, y, z):  # type: ignore[no-untyped-def]
+    """Two unit vectors that make an orthonormal frame with the unit vector (x, y, z) (Duff et al. 2017)."""
+    s = 1.0 if z >= 0 else -1.0
+    a = -1.0 / (s + z)
+    b = x * y * a
+    return 1.0 + s * x * x * a, s * b, -s * x, b, s + y * y * a, -y
+
+
+@njit(cache=True)
+def _best_face(R_fc, x, y, z):  # type: ignore[no-untyped-def]
+    best, top = -1, -2.0
+    for f in range(R_fc.shape[0]):
+        c = R_fc[f, 2, 0] * x + R_fc[f, 2, 1] * y + R_fc[f, 2, 2] * z
+        if c > top:
+            top, best = c, f
+    return best, top
+
+
+@njit(cache=True)
+def _to_face(R_fc, K, f, x, y, z):  # type: ignore[no-untyped-def]
+    px = R_fc[f, 0, 0] * x + R_fc[f, 0, 1] * y + R_fc[f, 0, 2] * z
+    py = R_fc[f, 1, 0] * x + R_fc[f, 1, 1] * y + R_fc[f, 1, 2] * z
+    pz = R_fc[f, 2, 0] * x + R_fc[f, 2, 1] * y + R_fc[f, 2, 2] * z
+    if pz < 1e-6:
+        return -1e6, -1e6
+    return K[0] * px / pz + K[2], K[1] * py / pz + K[3]
+
+
+@njit(cache=True)
+def _bilinear(image, u, v):  # type: ignore[no-untyped-def]
+    """Value at pixel coordinates (centres at k + 0.5), clamped to the border."""
+    h, w = image.shape
+    x = min(max(u - 0.5, 0.0), w - 1.001)
+    y = min(max(v - 0.5, 0.0), h - 1.001)
+    i, j = int(y), int(x)
+    a, b = x - j, y - i
+    top = image[i, j] + a * (float(image[i, j + 1]) - image[i, j])
+    bottom = image[i + 1, j] + a * (float(image[i + 1, j + 1]) - image[i + 1, j])
+    return top + b * (bottom - top)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def _cut_level(image, level, R_fc, K, bearings, pitch, out):  # type: ignore[no-untyped-def]
+    scale = 1.0 / (1 << level)
+    step = pitch * (1 << level)
+    for n in prange(bearings.shape[0]):
+        x, y, z = bearings[n, 0], bearings[n, 1], bearings[n, 2]
+        ax, ay, az, bx, by, bz = tangent_basis(x, y, z)
+        for i in range(STORED):
+            q = (i - STORED / 2 + 0.5) * step
+            for j in range(STORED):
+                p = (j - STORED / 2 + 0.5) * step
+                rx, ry, rz = x + p * ax + q * bx, y + p * ay + q * by, z + p * az + q * bz
+                f, _ = _best_face(R_fc, rx, ry, rz)
+                u, v = _to_face(R_fc, K, f, rx, ry, rz)
+                out[n, level, i, j] = _bilinear(image[f], u * scale, v * scale)
+
+
+def cut_templates(
+    pyramid: list[NDArray[np.uint8]],
+    R_fc: NDArray[np.float64],
+    intrinsics: NDArray[np.float64],
+    bearings: NDArray[np.float64],
+    focal: float,
+) -> NDArray[np.float32]:
+    """Templates (N, levels, 16, 16) around unit bearings (N, 3); one template pixel is 2^level / focal radians."""
+    out = np.zeros((len(bearings), len(pyramid), STORED, STORED), np.float32)
+    for level, image in enumerate(pyramid):
+        _cut_level(image, level, R_fc, intrinsics, bearings, 1.0 / focal, out)
+    return out
+
+
+@njit(cache=True)
+def _shift(image, template, gx, gy, inv, offset, u, v, limit):  # type: ignore[no-untyped-def]
+    """Gauss-Newton for the shift of one window; returns u, v, converged-enough."""
+    u0, v0 = u, v
+    h, w = image.shape
+    for _ in range(12):
+        if u < _HALF or v < _HALF or u > w - _HALF or v > h - _HALF:
+            return u, v, False
+        b0, b1, b2 = 0.0, 0.0, 0.0
+        # All samples share one fraction, so the bilinear weights are computed once.
+        x, y = u - _HALF, v - _HALF  # first sample's centre, as an index
+        j0, i0 = int(x), int(y)
+        a, b = x - j0, y - i0
+        w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+        for i in range(WINDOW):
+            r0 = min(max(i0 + i, 0), h - 1)
+            r1 = min(max(i0 + i + 1, 0), h - 1)
+            for j in range(WINDOW):
+                c0 = min(max(j0 + j, 0), w - 1)
+                c1 = min(max(j0 + j + 1, 0), w - 1)
+                value = w00 * image[r0, c0] + w01 * image[r0, c1] + w10 * image[r1, c0] + w11 * image[r1, c1]
+                e = value - template[i, j] + offset
+                b0 += gx[i, j] * e
+                b1 += gy[i, j] * e
+                b2 += e
+        du = inv[0, 0] * b0 + inv[0, 1] * b1 + inv[0, 2] * b2
+        dv = inv[1, 0] * b0 + inv[1, 1] * b1 + inv[1, 2] * b2
+        dm = inv[2, 0] * b0 + inv[2, 1] * b1 + inv[2, 2] * b2
+        u -= du
+        v -= dv
+        offset -= dm
+        if abs(u - u0) > limit or abs(v - v0) > limit:
+            return u, v, False
+        if du * du + dv * dv < 1e-4:
+            break
+    return u, v, True
+
+
+@njit(cache=True)
+def _window(stored, A_inv, template, gx, gy, inv):  # type: ignore[no-untyped-def]
+    """Warp a stored template to the current face; gradients, inverse Hessian. False if it has no texture."""
+    big = np.empty((WINDOW + 2, WINDOW + 2))
+    for i in range(WINDOW + 2):
+        dv = i - _HALF - 0.5
+        for j in range(WINDOW + 2):
+            du = j - _HALF - 0.5
+            p = A_inv[0, 0] * du + A_inv[0, 1] * dv
+            q = A_inv[1, 0] * du + A_inv[1, 1] * dv
+            big[i, j] = _bilinear(stored, p + STORED / 2, q + STORED / 2)
+    h00, h01, h11, s0, s1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(WINDOW):
+        for j in range(WINDOW):
+            template[i, j] = big[i + 1, j + 1]
+            x = 0.5 * (big[i + 1, j + 2] - big[i + 1, j])
+            y = 0.5 * (big[i + 2, j + 1] - big[i, j + 1])
+            gx[i, j], gy[i, j] = x, y
+            h00 += x * x
+            h01 += x * y
+            h11 += y * y
+            s0 += x
+            s1 += y
+    n = float(WINDOW * WINDOW)
+    # Schur complement of the intensity offset, then the 3x3 inverse by blocks.
+    a, b, c = h00 - s0 * s0 / n, h01 - s0 * s1 / n, h11 - s1 * s1 / n
+    det = a * c - b * b
+    trace = a + c
+    if trace <= 0 or det <= 0:
+        return False
+    smallest = 0.5 * (trace - math.sqrt(max(0.0, trace * trace - 4 * det)))
+    if smallest < 1.0 * n:  # mean squared gradient of one grey level per pixel in the weakest direction
+        return False
+    i00, i01, i11 = c / det, -b / det, a / det
+    inv[0, 0], inv[0, 1], inv[1, 0], inv[1, 1] = i00, i01, i01, i11
+    k0, k1 = -(i00 * s0 + i01 * s1) / n, -(i01 * s0 + i11 * s1) / n
+    inv[0, 2], inv[2, 0], inv[1, 2], inv[2, 1] = k0, k0, k1, k1
+    inv[2, 2] = 1.0 / n - (k0 * s0 + k1 * s1) / n
+    return True
+
+
+@njit(cache=True)
+def _zncc(image, template, u, v):  # type: ignore[no-untyped-def]
+    sa, sb, saa, sbb, sab = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(WINDOW):
+        for j in range(WINDOW):
+            a = template[i, j]
+            b = _bilinear(image, u + j - _HALF + 0.5, v + i - _HALF + 0.5)
+            sa += a
+            sb += b
+            saa += a * a
+            sbb += b * b
+            sab += a * b
+    n = WINDOW * WINDOW
+    va, vb = saa - sa * sa / n, sbb - sb * sb / n
+    if va <= 1e-6 or vb <= 1e-6:
+        return 0.0
+    return (sab - sa * sb / n) / math.sqrt(va * vb)
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def align_level(  # type: ignore[no-untyped-def]
+    image, valid, level, R_fc, K, focal, stored, anchors, rho, R_ca, t_ca, which, bearings, ok, score, limit
+):
+    """One pyramid level for N points; updates bearings (N, 3) and ok (N,), and writes score (N,) (ZNCC).
+
+    stored (N, 16, 16): the level's templates; anchors (N, 3): their bearings; rho (N,): inverse distance there;
+    R_ca, t_ca (K, 3, 3), (K, 3): anchor keyframe to current camera, picked by which (N,).
+    bearings come in as the prediction and leave as the measurement. limit: largest shift in this level's pixels.
+    """
+    scale = 1.0 / (1 << level)
+    h, w = image.shape[1], image.shape[2]
+    for n in prange(anchors.shape[0]):
+        if not ok[n]:
+            continue
+        ok[n] = False
+        bx, by, bz = bearings[n, 0], bearings[n, 1], bearings[n, 2]
+        f, cosine = _best_face(R_fc, bx, by, bz)
+        if cosine < 0.1:
+            continue
+        u, v = _to_face(R_fc, K, f, bx, by, bz)
+        if u < 1 or v < 1 or u > valid.shape[2] - 1 or v > valid.shape[1] - 1 or not valid[f, int(v), int(u)]:
+            continue
+        # Derivative of the face pixel by the template's tangent coordinates, at the predicted place.
+        mx, my, mz = anchors[n, 0], anchors[n, 1], anchors[n, 2]
+        ax, ay, az, cx, cy, cz = tangent_basis(mx, my, mz)
+        k = which[n]
+        step = (1 << level) / focal
+        A = np.empty((2, 2))
+        X = np.empty(3)
+        P = np.empty((3, 2))
+        for corner in range(3):
+            p = step if corner == 1 else 0.0
+            q = step if corner == 2 else 0.0
+            rx, ry, rz = mx + p * ax + q * cx, my + p * ay + q * cy, mz + p * az + q * cz
+            for r in range(3):
+                X[r] = R_ca[k, r, 0] * rx + R_ca[k, r, 1] * ry + R_ca[k, r, 2] * rz + rho[n] * t_ca[k, r]
+            P[corner, 0], P[corner, 1] = _to_face(R_fc, K, f, X[0], X[1], X[2])
+        if P[0, 0] < -1e5 or P[1, 0] < -1e5 or P[2, 0] < -1e5:
+            continue
+        for corner in range(2):
+            A[0, corner] = (P[corner + 1, 0] - P[0, 0]) * scale
+            A[1, corner] = (P[corner + 1, 1] - P[0, 1]) * scale
+        det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+        if det < 0.2 or det > 6.0:
+            continue
+        A_inv = np.empty((2, 2))
+        A_inv[0, 0], A_inv[0, 1] = A[1, 1] / det, -A[0, 1] / det
+        A_inv[1, 0], A_inv[1, 1] = -A[1, 0] / det, A[0, 0] / det
+        template = np.empty((WINDOW, WINDOW))
+        gx = np.empty((WINDOW, WINDOW))
+        gy = np.empty((WINDOW, WINDOW))
+        inv = np.empty((3, 3))
+        if not _window(stored[n], A_inv, template, gx, gy, inv):
+            continue
+        u, v, good = _shift(image[f], template, gx, gy, inv, 0.0, u * scale, v * scale, limit)
+        if not good or u < _HALF or v < _HALF or u > w - _HALF or v > h - _HALF:
+            continue
+        score[n] = _zncc(image[f], template, u, v)
+        u, v = u / scale, v / scale
+        dx, dy = (u - K[2]) / K[0], (v - K[3]) / K[1]
+        norm = math.sqrt(dx * dx + dy * dy + 1.0)
+        for c in range(3):
+            bearings[n, c] = (R_fc[f, 0, c] * dx + R_fc[f, 1, c] * dy + R_fc[f, 2, c]) / norm
+        ok[n] = True

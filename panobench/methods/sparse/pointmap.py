@@ -1,0 +1,112 @@
+"""The map: points as growing arrays, keyframes with what they saw, and the record of every tracked frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.methods.sparse.patches import STORED
+
+Array = NDArray[np.float64]
+
+CANDIDATE, ACTIVE, DEAD = 0, 1, 2
+
+
+@dataclass
+class Keyframe:
+    """A frame the map hangs on: T_cw (4, 4), the points it saw (n,) and their unit bearings (n, 3)."""
+
+    number: int
+    frame: int
+    T_cw: Array
+    points: NDArray[np.int64]
+    bearings: Array
+    signature: Any = None
+
+    def drop(self, lost: NDArray[np.bool_]) -> None:
+        """Forget observations where ``lost`` (n,) is True."""
+        self.points, self.bearings = self.points[~lost], self.bearings[~lost]
+
+
+@dataclass
+class FrameRecord:
+    """A tracked frame: its pose relative to a keyframe, and its measurements for a last refinement."""
+
+    index: int
+    time: float
+    keyframe: int
+    T_ck: Array
+    points: NDArray[np.int64]
+    bearings: NDArray[np.float32]
+
+
+_FIELDS: dict[str, tuple[tuple[int, ...], Any]] = {
+    "position": ((3,), np.float64),  # world
+    "state": ((), np.int8),
+    "anchor": ((), np.int64),  # keyframe whose image the template is from
+    "anchor_bearing": ((3,), np.float64),
+    "bearing": ((3,), np.float64),  # last measurement, in that frame's camera
+    "last_seen": ((), np.int64),  # frame of it
+    "visible": ((), np.int32),
+    "found": ((), np.int32),
+    "misses": ((), np.int32),  # failures in a row
+    "parallax": ((), np.float64),  # largest angle seen so far, radians
+}
+
+
+@dataclass
+class PointMap:
+    """Points in parallel arrays with spare room; views of the used part are properties."""
+
+    levels: int
+    size: int = 0
+    keyframes: list[Keyframe] = field(default_factory=list)
+    _arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, (shape, dtype) in _FIELDS.items():
+            self._arrays[name] = np.zeros((0, *shape), dtype)
+        self._arrays["template"] = np.zeros((0, self.levels, STORED, STORED), np.float32)
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        arrays = self.__dict__.get("_arrays", {})
+        if name not in arrays:
+            raise AttributeError(name)
+        return arrays[name][: self.size]
+
+    def add(self, count: int, **values: Any) -> NDArray[np.int64]:
+        """Append ``count`` points with these fields (others zero); returns their indices."""
+        new = self.size + count
+        for name, array in self._arrays.items():
+            if new > len(array):
+                grown = np.zeros((max(new, 2 * len(array), 1024), *array.shape[1:]), array.dtype)
+                grown[: self.size] = array[: self.size]
+                self._arrays[name] = grown
+            self._arrays[name][self.size : new] = values.get(name, 0)
+        index = np.arange(self.size, new)
+        self.size = new
+        return index
+
+    def inverse_distance(self, index: NDArray[np.int64]) -> Array:
+        """1 / distance (n,) from each point to its anchor keyframe."""
+        centres = self.centres()[self.anchor[index]]
+        return np.asarray(1.0 / np.maximum(np.linalg.norm(self.position[index] - centres, axis=1), 1e-9))
+
+    def poses(self) -> Array:
+        """T_cw (K, 4, 4) of all keyframes."""
+        return np.stack([k.T_cw for k in self.keyframes]) if self.keyframes else np.zeros((0, 4, 4))
+
+    def centres(self) -> Array:
+        """Camera centres (K, 3) of all keyframes."""
+        T = self.poses()
+        return np.asarray(-np.einsum("kji,kj->ki", T[:, :3, :3], T[:, :3, 3]))
+
+    def observation_counts(self) -> NDArray[np.int64]:
+        """Keyframes seeing each point (N,)."""
+        counts = np.zeros(self.size, np.int64)
+        for k in self.keyframes:
+            np.add.at(counts, k.points, 1)
+        return counts
