@@ -50,6 +50,11 @@ class Sequence(ABC):
     def imu(self) -> Imu | None:
         return None
 
+    @property
+    def body_T_cam(self) -> NDArray[np.float64] | None:
+        """Pose (4, 4) of the camera in the axes of ``imu``'s samples, if the dataset has both."""
+        return None
+
     def novel_views(self) -> list[NovelView]:
         """Views apart from the trajectory with true poses."""
         return []

@@ -14,29 +14,18 @@ from typing import Any
 import numpy as np
 
 from panobench.cameras.base import Camera
+from panobench.cameras.factory import camera_from_dict
 from panobench.datasets.base import Dataset, Sequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource
 from panobench.datasets.images import read_mask
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.trajectory_io import check_times, parse_floats, read_rows, read_table, read_tum
 from panobench.datasets.trajectory_match import match_to_times
-from panobench.errors import CalibrationError, DatasetError, UnknownNameError
-from panobench.plugins import registry
-from panobench.specs import CameraSpec
+from panobench.errors import CalibrationError, DatasetError
 from panobench.types import Imu, Trajectory
 
 #: A ground-truth row belongs to the frame whose time differs by at most this.
 TIME_TOLERANCE_S = 1e-3
-
-
-def camera_from_dict(values: dict[str, Any]) -> Camera:
-    """Any registered camera from the plain values of a camera.yaml. Raises CalibrationError."""
-    try:
-        spec = registry().get(CameraSpec, str(values.get("model")))
-    except UnknownNameError as error:
-        raise CalibrationError(str(error)) from None
-    camera: Camera = spec.load().from_dict(values)
-    return camera
 
 
 def read_camera(path: Path) -> Camera:
@@ -135,6 +124,7 @@ def _read(folder: Path, name: str) -> ImageSource:
         file = present.get(image.stem + ".npy") or present.get(image.stem + ".png")
         if file is not None:
             depth[index] = file
+    meta = _read_meta(folder / "meta.json")
     return ImageSource(
         dataset="folder",
         name=name,
@@ -146,7 +136,8 @@ def _read(folder: Path, name: str) -> ImageSource:
         imu=read_imu_csv(imu_path) if imu_path.is_file() else None,
         depth=depth,
         inputs=(*inputs, *(p for p in (mask_path, truth_path, imu_path) if p.is_file())),
-        notes=_source_note(folder / "meta.json"),
+        notes={"meta": meta} if meta else {},
+        body_T_cam=_pose_note(meta, folder / "meta.json"),
     )
 
 
@@ -174,8 +165,8 @@ def _read_frames(path: Path, folder: Path) -> tuple[np.ndarray, list[Path]]:
     return stamps, images
 
 
-def _source_note(path: Path) -> dict[str, Any]:
-    """What meta.json says about the conversion, for run.json (without its list of checksums)."""
+def _read_meta(path: Path) -> dict[str, Any]:
+    """What meta.json says about the sequence's origin (without its list of checksums); {} if there is none."""
     if not path.is_file():
         return {}
     try:
@@ -184,4 +175,17 @@ def _source_note(path: Path) -> dict[str, Any]:
         raise DatasetError("the file is not JSON", path) from None
     if not isinstance(meta, dict):
         raise DatasetError("expected a JSON object", path)
-    return {"meta": {k: v for k, v in meta.items() if k != "checksums"}}
+    return {k: v for k, v in meta.items() if k != "checksums"}
+
+
+def _pose_note(meta: dict[str, Any], path: Path) -> np.ndarray | None:
+    """meta.json's "body_T_cam", a rigid 4x4 matrix, if it has one."""
+    if meta.get("body_T_cam") is None:
+        return None
+    try:
+        T = np.array(meta["body_T_cam"], dtype=np.float64)
+    except (TypeError, ValueError):
+        T = np.zeros(0)
+    if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3):
+        raise DatasetError("'body_T_cam' is not a rigid 4x4 matrix", path)
+    return T

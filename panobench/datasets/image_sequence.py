@@ -38,6 +38,7 @@ class ImageSource:
     inputs: tuple[Path, ...] = ()
     notes: Mapping[str, Any] = field(default_factory=dict)
     novel: Callable[[], list[NovelView]] | None = None
+    body_T_cam: NDArray[np.float64] | None = None
 
 
 def check_sizes(images: list[Path], expected: tuple[int, int] | None = None) -> tuple[int, int]:
@@ -121,6 +122,10 @@ class ImageSequence(Sequence):
     @property
     def imu(self) -> Imu | None:
         return self.source.imu
+
+    @property
+    def body_T_cam(self) -> NDArray[np.float64] | None:
+        return self.source.body_T_cam
 
     def novel_views(self) -> list[NovelView]:
         if self.source.novel is None:

@@ -26,4 +26,14 @@ DATASETS: tuple[DatasetSpec, ...] = (
         publisher="you",
         layout="FILE.mp4, or FOLDER/NAME.mp4 with --sequence NAME; optional NAME.mask.png (white = valid)",
     ),
+    DatasetSpec(
+        "palvio",
+        "panoramic annular camera, IMU and motion capture on a drone (LF-VIO)",
+        "panobench.datasets.palvio:Palvio",
+        requires=("rosbags",),
+        publisher="Wang et al., LF-VIO (IROS 2022): the PALVIO dataset, linked from the LF-VIO repository on GitHub",
+        layout="ID01.bag ... ID10.bag (ROS 1: /mindvision/mindvision/left/image_mono, /mavros/imu/data, "
+        "/vicon/pal/pal), or extracted ID01/images/<nanoseconds>.png with optional groundtruth.tum "
+        "(body poses) and imu.csv",
+    ),
 )

@@ -100,15 +100,15 @@ class SequenceWriter:
         self._suffix = "." + image_format
         self._lock = threading.Lock()
         self._records: dict[int, FrameRecord] = {}
+        self.fingerprint = _plain(fingerprint or {})
         if path.exists():
             raise UsageError(f"{path} exists already; remove it or choose another --out")
         with explained_disk_errors(self.partial):
             if restart and self.partial.exists():
                 shutil.rmtree(self.partial)
-            self._open_journal({"format": FORMAT_VERSION, "what": fingerprint or {}})
+            self._open_journal({"format": FORMAT_VERSION, "what": self.fingerprint})
 
     def _open_journal(self, head: dict[str, Any]) -> None:
-        head = json.loads(json.dumps(head))
         journal = self.partial / JOURNAL
         if journal.is_file():
             lines = journal.read_text(encoding="utf-8").splitlines()
@@ -194,7 +194,7 @@ class SequenceWriter:
         if self.camera.mask is not None:
             files["mask.png"] = encode_image(self.camera.mask, ".png")
         checksums |= {name: sha256_bytes(data) for name, data in files.items()}
-        about = {"format": FORMAT_VERSION, **(meta or {}), "checksums": checksums}
+        about = {"format": FORMAT_VERSION, "what": self.fingerprint, **(meta or {}), "checksums": checksums}
         files["meta.json"] = (json.dumps(about, indent=1) + "\n").encode()
         with explained_disk_errors(self.partial):
             for name, data in files.items():
@@ -202,6 +202,29 @@ class SequenceWriter:
             (self.partial / JOURNAL).unlink()
             os.replace(self.partial, self.path)
         return self.path
+
+
+def finished_as(path: Path, fingerprint: dict[str, Any]) -> bool:
+    """Whether ``path`` is a finished sequence written with this fingerprint, its files unchanged since.
+
+    Raises UsageError if something else is there, DatasetError if one of its files was changed or lost.
+    """
+    if not path.exists():
+        return False
+    meta = path / "meta.json"
+    values = _parse(meta.read_text(encoding="utf-8")) if meta.is_file() else None
+    if not isinstance(values, dict) or values.get("what") != _plain(fingerprint):
+        raise UsageError(f"{path} exists already and was made with other options; remove it or choose another --out")
+    for name, checksum in values.get("checksums", {}).items():
+        file = path / name
+        if not file.is_file() or sha256_file(file) != checksum:
+            raise DatasetError("the file changed since it was written; remove the sequence and convert again", file)
+    return True
+
+
+def _plain(values: dict[str, Any]) -> Any:
+    """As JSON gives it back: tuples become lists, numpy numbers are refused."""
+    return json.loads(json.dumps(values))
 
 
 def _record_line(record: FrameRecord) -> str:
