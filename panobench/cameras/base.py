@@ -91,13 +91,18 @@ class Camera(ABC):
         """(H, W) steradians covered by each pixel (0 where it has no ray); sums to the coverage.
 
         Default: area of the two spherical triangles between the rays of the pixel's corners
-        (Van Oosterom & Strackee 1983).
+        (Van Oosterom & Strackee 1983); at the rim, where a corner has no ray, 1 / |dr_u x dr_v| from the Jacobian.
         """
         u, v = np.meshgrid(np.arange(self.width + 1.0), np.arange(self.height + 1.0))
         r = self.unproject(np.stack([u, v], axis=-1))
         a, b, c, d = r[:-1, :-1], r[:-1, 1:], r[1:, 1:], r[1:, :-1]
         area = spherical_triangle_area(a, b, c) + spherical_triangle_area(a, c, d)
-        return np.where(self.valid_mask(), np.nan_to_num(area), 0.0)
+        valid = self.valid_mask()
+        rim = valid & ~np.isfinite(area)
+        if rim.any():
+            J = self.jacobian(self.rays()[rim])
+            area[rim] = 1 / np.linalg.norm(np.cross(J[:, 0], J[:, 1]), axis=-1)
+        return np.where(valid, area, 0.0)
 
 
 def spherical_triangle_area(a: Array, b: Array, c: Array) -> Array:

@@ -74,7 +74,7 @@ class ErpCamera(ParametricCamera):
         lon = (u / self.width - 0.5) * (2 * np.pi)
         lat = (0.5 - v / self.height) * np.pi
         rays = directions_from_lonlat(lon, lat)
-        return np.where(((v >= 0) & (v <= self.height))[..., None], rays, np.nan)
+        return np.where((np.isfinite(u) & (v >= 0) & (v <= self.height))[..., None], rays, np.nan)
 
     def jacobian(self, points: ArrayLike) -> Array:
         """Infinite on the polar axis, where longitude is undefined."""

@@ -45,7 +45,7 @@ class ParametricCamera(Camera):
             mask.flags.writeable = False
             object.__setattr__(self, "mask", mask)
         for name, value in self._numbers().items():
-            if name in ("width", "height") or isinstance(value, str):
+            if name in ("width", "height") or value is None or isinstance(value, str):
                 continue
             number = tuple(float(v) for v in value) if isinstance(value, (tuple, list, np.ndarray)) else float(value)
             if not np.isfinite(number).all():
@@ -74,7 +74,7 @@ class ParametricCamera(Camera):
         raise NotImplementedError
 
     def to_dict(self) -> dict[str, Any]:
-        values = {k: _plain(v) for k, v in self._numbers().items()}
+        values = {k: _plain(v) for k, v in self._numbers().items() if v is not None}
         return {"model": self.kind, **values}
 
     @classmethod

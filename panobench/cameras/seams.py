@@ -6,12 +6,15 @@ padded image. For most cameras nothing lies there and coordinates are clamped to
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Array
+
+if TYPE_CHECKING:
+    from panobench.cameras.cubemap import CubemapCamera
 
 Image = NDArray[Any]
 
@@ -48,3 +51,35 @@ class PanoramaSeams(Seams):
 
     def locate(self, u: Array, v: Array) -> tuple[Array, Array]:
         return u % self.width + 0.5, np.clip(v, 0, self.height) + 0.5
+
+
+class CubemapSeams(Seams):
+    """A strip of faces: each is framed by one pixel of its true neighbours on the cube."""
+
+    def __init__(self, camera: CubemapCamera) -> None:
+        super().__init__(camera.width, camera.height)
+        n = camera.height
+        k = np.arange(n + 2) - 0.5  # centres of a framed face, in the face's own pixels
+        a, b = np.meshgrid(2 * k / n - 1, 2 * k / n - 1)
+        q = np.stack([a, b, np.ones_like(a)], axis=-1)
+        frame = (np.abs(a) > 1) | (np.abs(b) > 1)
+        self._framed: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = []
+        rows, columns = np.nonzero(frame)
+        self._frame = rows, columns
+        for R in camera.rotations:
+            pixels, _ = camera.project(q[frame] @ R)
+            self._framed.append((pixels[:, 1].astype(np.intp), pixels[:, 0].astype(np.intp)))
+
+    def pad(self, image: Image) -> Image:
+        n = self.height
+        out = np.empty((n + 2, 6 * (n + 2), *image.shape[2:]), image.dtype)
+        for face, (v, u) in enumerate(self._framed):
+            part = out[:, face * (n + 2) : (face + 1) * (n + 2)]
+            part[1:-1, 1:-1] = image[:, face * n : (face + 1) * n]
+            part[self._frame] = image[v, u]
+        return out
+
+    def locate(self, u: Array, v: Array) -> tuple[Array, Array]:
+        n = self.height
+        face = np.clip(u // n, 0, 5)
+        return u + 2 * face + 0.5, np.clip(v, 0, n) + 0.5
