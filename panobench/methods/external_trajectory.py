@@ -1,0 +1,97 @@
+"""Reading the trajectory a program wrote, and matching it to the frames it was given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets import trajectory_io as io
+from panobench.errors import DatasetError
+from panobench.geometry import invert_pose
+from panobench.types import Trajectory
+
+Kind = Literal["tum", "tum-ns", "kitti", "euroc"]
+
+
+@dataclass(frozen=True)
+class TrajectoryFormat:
+    """How a program writes its answer.
+
+    kind: "tum"; "tum-ns", TUM with times in nanoseconds; "kitti", one pose per frame; "euroc", CSV with times in
+    nanoseconds and qw first. inverse: it writes world-to-camera. time_offset: added to its times, seconds.
+    T_body_camera: poses are of a body; the camera's is T_world_body T_body_camera.
+    index_rate: its times are frame index / rate (programs that take no times).
+    """
+
+    kind: Kind = "tum"
+    inverse: bool = False
+    time_offset: float = 0.0
+    T_body_camera: NDArray[np.float64] | None = None
+    index_rate: float | None = None
+
+
+def _read_tum_ns(path: Path) -> Trajectory:
+    table, lines = io.read_table(path, 8, "time in ns, x y z qx qy qz qw", exact=True)
+    times = table[:, 0] * 1e-9
+    io.check_times(times, path, lines)
+    return Trajectory(times, io.poses_from_rows(table[:, 1:4], table[:, 4:8], path, lines))
+
+
+_READERS: dict[str, Callable[[Path], Trajectory]] = {
+    "tum": io.read_tum,
+    "tum-ns": _read_tum_ns,
+    "euroc": io.read_euroc_csv,
+}
+
+
+def read_answer(path: Path, form: TrajectoryFormat, times: NDArray[np.float64]) -> Trajectory:
+    """The poses at the input ``times`` they belong to; empty if the program wrote an empty file (it tracked nothing).
+
+    Raises DatasetError: no file, a line that does not parse, a time that belongs to no frame, two for one frame.
+    """
+    if not path.exists():
+        raise DatasetError("the program wrote no such file", path)
+    if not any(line and not line.startswith("#") for line in _first_lines(path)):
+        return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+    found = io.read_kitti(path, times) if form.kind == "kitti" else _READERS[form.kind](path)
+    T = found.T_wc
+    if form.inverse:
+        T = invert_pose(T)
+    if form.T_body_camera is not None:
+        T = T @ form.T_body_camera
+    stamps = found.times + form.time_offset
+    if form.index_rate is not None:
+        index = np.rint(stamps * form.index_rate).astype(int)
+        wrong = (index < 0) | (index >= len(times)) | (np.abs(index / form.index_rate - stamps) > 0.4 / form.index_rate)
+    else:
+        index, wrong = match_times(stamps, times)
+    if wrong.any():
+        stamp = stamps[int(np.flatnonzero(wrong)[0])]
+        raise DatasetError(f"time {stamp:.9g} s belongs to none of the {len(times)} frames given", path)
+    if (np.diff(index) <= 0).any():
+        raise DatasetError("two poses belong to the same frame", path, frame=int(index[1:][np.diff(index) <= 0][0]))
+    return Trajectory(times[index], T)
+
+
+def match_times(stamps: NDArray[np.float64], times: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Index of the nearest of the increasing ``times`` for each stamp, and which are too far from it to be meant.
+
+    Too far: more than 40% of the smallest interval (programs round their times).
+    """
+    right = np.clip(np.searchsorted(times, stamps), 1, max(1, len(times) - 1))
+    right = np.minimum(right, len(times) - 1)
+    left = np.maximum(right - 1, 0)
+    index = np.where(np.abs(stamps - times[left]) <= np.abs(stamps - times[right]), left, right)
+    interval = float(np.diff(times).min()) if len(times) > 1 else 1.0
+    return index, np.asarray(np.abs(times[index] - stamps) > 0.4 * interval)
+
+
+def _first_lines(path: Path) -> list[str]:
+    """Up to 64 kB of a file, as stripped lines; a binary file gives something that later fails to parse."""
+    with path.open("rb") as file:
+        return [line.strip() for line in file.read(65536).decode("utf-8", errors="replace").splitlines()]
