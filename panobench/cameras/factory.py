@@ -126,6 +126,40 @@ def _pinhole(source: Camera, width: int | None, fov: tuple[float, float | None] 
     return PinholeCamera.from_fov(width, horizontal, vertical)
 
 
+def _fisheye(source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> Camera:
+    """Equidistant, 190 degrees across the image circle unless said otherwise."""
+    from panobench.cameras.kannala_brandt import KannalaBrandtCamera
+
+    cone = 190.0 if fov is None else fov[0]
+    if fov is not None and fov[1] not in (None, cone):
+        raise UsageError("a fisheye's field of view is a cone: give one angle")
+    if width is None:
+        width = _multiple(np.deg2rad(cone) * pixels_per_radian(source), 16)
+    return KannalaBrandtCamera.equidistant(width, cone)
+
+
+def _cubemap(source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> Camera:
+    from panobench.cameras.cubemap import CubemapCamera
+
+    if fov is not None:
+        raise UsageError("a cubemap covers the full sphere; it takes no field of view")
+    if width is None:
+        width = 6 * _multiple(2 * pixels_per_radian(source), 16)
+    if width % 6:
+        raise UsageError(f"a cubemap's width is six faces, so a multiple of 6, not {width}")
+    return CubemapCamera(width, width // 6)
+
+
+def _pal(source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> Camera:
+    """PALVIO's upward camera with its mask, as the paper makes annular images of panoramas."""
+    from panobench.cameras.calibration import builtin_calibration
+
+    if fov is not None:
+        raise UsageError("an annular lens has the field of view of its calibration; give a calibration file instead")
+    camera = builtin_calibration("palvio_up")
+    return camera if width is None else camera.scaled(width)
+
+
 def _multiple(value: float, step: int) -> int:
     return max(1, round(value / step)) * step
 
@@ -155,5 +189,8 @@ def _from_file(path: Path, source: Camera, width: int | None, fov: tuple[float, 
 
 _MAKERS: dict[str, Callable[[Camera, int | None, tuple[float, float | None] | None], Camera]] = {
     "erp": _erp,
+    "pal": _pal,
     "pinhole": _pinhole,
+    "fisheye": _fisheye,
+    "cubemap": _cubemap,
 }

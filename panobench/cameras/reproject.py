@@ -53,6 +53,8 @@ class Reprojector:
         self._map_x, self._map_y, _ = self._sample_maps(self._level, self.sampling.grid)
         self._depth_maps: tuple[Array32, Array32] | None = None
         self._valid = self._find_valid()
+        hidden = ~np.repeat(np.repeat(self._valid, self.sampling.grid, axis=0), self.sampling.grid, axis=1)
+        self._map_x[hidden] = self._map_y[hidden] = -100
         if not self._valid.any():
             raise UnsupportedError(
                 f"the target view sees nothing of the source: the source ({source.kind}) covers "
@@ -66,7 +68,7 @@ class Reprojector:
         return self._valid
 
     def image(self, image: NDArray[Any]) -> NDArray[Any]:
-        """Source image (H, W) or (H, W, C), any of uint8, uint16, float32 -> target's size; 0 where unseen."""
+        """Source image (H, W) or (H, W, C), any of uint8, uint16, float32 -> target's size; 0 where not valid."""
         self._check(image, "image")
         flat = image.ndim == 2 or image.shape[2] == 1
         three = not flat and image.shape[2] == 3

@@ -1,0 +1,113 @@
+"""Any sequence as another camera at the same place would have taken it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from panobench.cameras.base import Camera
+from panobench.cameras.reproject import Reprojector
+from panobench.datasets.base import Sequence
+from panobench.errors import UnsupportedError
+from panobench.types import Imu, NovelView, Trajectory
+
+
+class ConvertedSequence(Sequence):
+    """Presents ``source`` through ``camera``, whose axes are the source's turned by ``R_target_source``.
+
+    Images and depth are reprojected when asked for, the ground truth is that of the new camera, inertial samples stay
+    the body's. ``self.camera`` is ``camera`` with what the source does not cover masked; such pixels are black.
+    Raises UnsupportedError when the two cameras see nothing in common.
+    """
+
+    def __init__(self, source: Sequence, camera: Camera, R_target_source: ArrayLike | None = None) -> None:
+        self.source = source
+        self.reprojector = Reprojector(source.camera, camera, R_target_source)
+        self.camera = with_valid(camera, self.reprojector.valid)
+        self.name, self.dataset, self.times = source.name, source.dataset, source.times
+        self._novel: list[NovelView] | None = None
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self.reprojector.image(self.source.image(index))
+
+    def frame_name(self, index: int) -> str:
+        return self.source.frame_name(index)
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        depth = self.source.depth(index)
+        return None if depth is None else self.reprojector.depth(depth)
+
+    @cached_property
+    def _groundtruth(self) -> Trajectory | None:
+        truth = self.source.groundtruth
+        return None if truth is None else Trajectory(truth.times, self.reprojector.poses(truth.T_wc))
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        return self._groundtruth
+
+    @property
+    def imu(self) -> Imu | None:
+        return self.source.imu
+
+    @property
+    def body_T_cam(self) -> NDArray[np.float64] | None:
+        T = self.source.body_T_cam
+        return None if T is None else self.reprojector.poses(T)
+
+    def novel_views(self) -> list[NovelView]:
+        """The source's novel views, those of the source's kind of camera reprojected like its frames.
+
+        Views of another kind were not taken by this rig and stay as they are; those that the new camera would not see
+        are left out.
+        """
+        if self._novel is None:
+            self._novel = [v for v in map(self._convert_view, self.source.novel_views()) if v is not None]
+        return self._novel
+
+    def _convert_view(self, view: NovelView) -> NovelView | None:
+        if view.camera.kind != self.source.camera.kind:
+            return view
+        reprojector = self._view_reprojector(view.camera)
+        if reprojector is None:
+            return None
+        camera = with_valid(reprojector.target, reprojector.valid)
+        return NovelView(view.name, reprojector.image(view.image), camera, reprojector.poses(view.T_wc))
+
+    def _view_reprojector(self, camera: Camera) -> Reprojector | None:
+        if camera == self.source.camera:
+            return self.reprojector
+        key = (camera.width, camera.height)
+        known = self._view_maps.get(key)
+        if known is None or known.source != camera:
+            try:
+                known = Reprojector(camera, self.reprojector.target, self.reprojector.R_target_source)
+            except UnsupportedError:
+                return None
+            self._view_maps[key] = known
+        return known
+
+    @cached_property
+    def _view_maps(self) -> dict[tuple[int, int], Reprojector]:
+        return {}
+
+    def provenance(self) -> dict[str, Any]:
+        return {
+            **self.source.provenance(),
+            "conversion": {
+                "source_camera": self.source.camera.to_dict(),
+                "camera": self.reprojector.target.to_dict(),
+                "R_target_source": self.reprojector.R_target_source.tolist(),
+                "samples_per_pixel": self.reprojector.sampling.grid**2,
+                "source_shrunk_by": self.reprojector.sampling.shrink,
+            },
+        }
+
+
+def with_valid(camera: Camera, valid: NDArray[np.bool_]) -> Camera:
+    """``camera`` with ``valid`` (H, W) as its mask, or with none where the model's own limits say the same."""
+    plain = camera.with_mask(None)
+    return plain if np.array_equal(valid, plain.valid_mask()) else plain.with_mask(valid)
