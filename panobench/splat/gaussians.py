@@ -1,0 +1,84 @@
+"""The map: a growing set of 3D Gaussians as float32 arrays, one row per Gaussian."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.geometry import Sim3, matrix_from_quat, quat_from_matrix
+
+F32 = NDArray[np.float32]
+
+
+@dataclass
+class GaussianMap:
+    """N Gaussians in the world frame.
+
+    means (N, 3) metres; log_scales (N, 3), standard deviations exp(.) along the axes of the rotation given by
+    quats (N, 4) as (w, x, y, z), normalised on use; opacity_logits (N,); colours (N, 3) RGB, 0..1, not clipped.
+    """
+
+    means: F32
+    log_scales: F32
+    quats: F32
+    opacity_logits: F32
+    colours: F32
+
+    def __post_init__(self) -> None:
+        n = len(self.means)
+        shapes = {"means": (n, 3), "log_scales": (n, 3), "quats": (n, 4), "opacity_logits": (n,), "colours": (n, 3)}
+        for name, shape in shapes.items():
+            value = np.ascontiguousarray(getattr(self, name), dtype=np.float32)
+            if value.shape != shape:
+                raise ValueError(f"{name} has shape {value.shape}, expected {shape}")
+            setattr(self, name, value)
+
+    @classmethod
+    def empty(cls) -> GaussianMap:
+        z = np.zeros
+        return cls(*(z(s, np.float32) for s in ((0, 3), (0, 3), (0, 4), (0,), (0, 3))))
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def arrays(self) -> Iterator[F32]:
+        """The parameter arrays in declaration order."""
+        for f in fields(self):
+            yield getattr(self, f.name)
+
+    def select(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> GaussianMap:
+        """A copy of the Gaussians at ``index``."""
+        return GaussianMap(*(np.ascontiguousarray(a[index]) for a in self.arrays()))
+
+    def concat(self, other: GaussianMap) -> GaussianMap:
+        """Both maps' Gaussians, these first."""
+        return GaussianMap(*(np.concatenate([a, b]) for a, b in zip(self.arrays(), other.arrays())))
+
+    def copy(self) -> GaussianMap:
+        return GaussianMap(*(a.copy() for a in self.arrays()))
+
+    def transformed(self, transform: Sim3) -> GaussianMap:
+        """The map moved by a similarity."""
+        q = self.quats[:, [1, 2, 3, 0]]
+        R = transform.R @ matrix_from_quat(q)
+        return GaussianMap(
+            transform.apply_points(self.means).astype(np.float32),
+            self.log_scales + np.float32(np.log(transform.scale)),
+            quat_from_matrix(R)[:, [3, 0, 1, 2]].astype(np.float32),
+            self.opacity_logits,
+            self.colours,
+        )
+
+    def write_ply(self, path: Path) -> None:
+        """Standard 3DGS PLY, readable by any splat viewer."""
+        from panobench.splat.ply import write_ply
+
+        write_ply(path, self.means, self.log_scales, self.quats, self.opacity_logits, self.colours)
+
+    @property
+    def nbytes(self) -> int:
+        return sum(a.nbytes for a in self.arrays())

@@ -1,0 +1,32 @@
+"""One set of Numba options for all kernels, and the sizes they share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+#: Kernels are cached on disk after the first compilation. Reassociation lets loops vectorise; NaN and infinity keep
+#: their meaning, since maps and images from strangers contain them.
+JIT: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "fastmath": {"reassoc", "contract", "nsz", "arcp", "afn"},
+    "error_model": "numpy",
+    "boundscheck": False,
+}
+PARALLEL: dict[str, Any] = {**JIT, "parallel": True}
+#: For inner loops that only ever see finite numbers.
+JIT_FINITE: dict[str, Any] = {**JIT, "fastmath": True}
+
+#: Tile size in pixels: one tile row is one AVX-512 or two AVX2 registers.
+TILE_W = 16
+TILE_H = 8
+
+#: Columns of the packed instance array, see ``project``.
+PACK = 18
+#: Columns of the gradient moments, see ``blend_backward``.
+MOMENTS = 12
+
+ALPHA_MIN = 1.0 / 255.0
+ALPHA_MAX = 0.99
+#: cos of the largest angle between a Gaussian's direction and a pixel it may colour (about 84 deg).
+COS_MIN = 0.1

@@ -1,0 +1,190 @@
+"""The renderer: one camera, its buffers, forward and backward. The only door to the kernels.
+
+A GPU backend replaces ``project``, ``bin_tiles``, ``blend_forward``, ``blend_backward`` and
+``parameter_gradients`` behind the same class.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import get_num_threads
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.geometry import invert_pose
+from panobench.splat import blend, chain, project
+from panobench.splat.gaussians import F32, GaussianMap
+from panobench.splat.kernel_options import MOMENTS, PACK, TILE_H, TILE_W
+from panobench.splat.view import CONIC_ERP, Projection, make_view
+
+_NO_2D = np.zeros((0, 0), np.float32)
+
+
+@dataclass
+class RenderOutput:
+    """planes (3, H, W) composited colour; depth (H, W) = sum of w dist; opacity (H, W) = sum of w.
+
+    touched (N,) int32: pixels each Gaussian reaches while over half of the light still passes (if asked for).
+    order (M,) int32: the Gaussians drawn, nearest first.
+    """
+
+    planes: F32
+    depth: F32
+    opacity: F32
+    touched: NDArray[np.int32] | None
+    order: NDArray[np.int32]
+
+    @property
+    def colour(self) -> F32:
+        """(H, W, 3) view."""
+        return self.planes.transpose(1, 2, 0)
+
+    def expected_depth(self, opacity_min: float = 0.5) -> F32:
+        """Radial depth (H, W) = depth / opacity, NaN where the opacity is below ``opacity_min``."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.opacity >= opacity_min, self.depth / self.opacity, np.nan).astype(np.float32)
+
+
+@dataclass
+class Gradients:
+    """dL/d(parameter). ``packed`` (N, 14) holds means, log_scales, quats, opacity_logits, colours side by side.
+
+    pose (6,): dL/dtau for T_cw <- exp(tau) T_cw, tau = (translation, rotation).
+    """
+
+    packed: F32
+    pose: NDArray[np.float64]
+
+    @property
+    def means(self) -> F32:
+        return self.packed[:, 0:3]
+
+    @property
+    def log_scales(self) -> F32:
+        return self.packed[:, 3:6]
+
+    @property
+    def quats(self) -> F32:
+        return self.packed[:, 6:10]
+
+    @property
+    def opacity_logits(self) -> F32:
+        return self.packed[:, 10]
+
+    @property
+    def colours(self) -> F32:
+        return self.packed[:, 11:14]
+
+
+@dataclass
+class _Scene:
+    """What ``backward`` needs of the last forward pass."""
+
+    gaussians: GaussianMap
+    R_cw: NDArray[np.float64]
+    t_cw: NDArray[np.float64]
+    packed: F32
+    rows: NDArray[np.int32]
+    starts: NDArray[np.int64]
+    entries: NDArray[np.int32]
+    done: NDArray[np.int32]
+    tiles: NDArray[np.int32]
+    out: RenderOutput
+
+
+class Renderer:
+    """Renders Gaussians into one camera.
+
+    projection: "sphere" (exact on the tangent plane, every camera), "erp" or "pinhole" (first order).
+    low_pass: variance added to every footprint, in pixels^2. near: Gaussians closer than this are not drawn. stop:
+    transmittance at which a tile is finished. threads: None uses Numba's setting; results agree between
+    thread counts to rounding.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        projection: Projection = "sphere",
+        low_pass: float = 0.3,
+        near: float = 0.01,
+        stop: float = 1e-4,
+        threads: int | None = None,
+    ) -> None:
+        self.camera = camera
+        self.view = make_view(camera, projection)
+        self.low_pass, self.near, self.stop = low_pass, near, stop
+        self.threads = threads or get_num_threads()
+        self._wrap = float(camera.width) if self.view.projection == CONIC_ERP else 0.0
+        self._scene: _Scene | None = None
+
+    def all_tiles(self) -> NDArray[np.int32]:
+        return np.arange(self.view.tiles_x * self.view.tiles_y, dtype=np.int32)
+
+    def forward(
+        self,
+        gaussians: GaussianMap,
+        T_wc: NDArray[np.float64],
+        *,
+        count_touched: bool = False,
+        tiles: NDArray[np.int32] | None = None,
+    ) -> RenderOutput:
+        """Render from camera-to-world pose ``T_wc``; ``tiles`` restricts it to those tiles (others stay black)."""
+        v = self.view
+        T_cw = invert_pose(T_wc)
+        R_cw, t_cw = np.ascontiguousarray(T_cw[:3, :3]), np.ascontiguousarray(T_cw[:3, 3])
+        n = len(gaussians)
+        packed, key = np.empty((n, PACK), np.float32), np.empty(n, np.float32)
+        rows, cols = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
+        project.project(
+            gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.colours,
+            R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, self.low_pass, self.near,
+            packed, rows, cols, key,
+        )  # fmt: skip
+        order = project.radix_order(key)
+        packed, rows, cols = project.gather(order, packed, rows, cols)
+        starts, entries = project.bin_tiles(
+            packed, rows, cols, v.width, TILE_W, TILE_H, v.tiles_x, v.tiles_y, v.bound, v.cones
+        )
+        tiles = self.all_tiles() if tiles is None else tiles
+        new = np.empty if len(tiles) == v.tiles_x * v.tiles_y else np.zeros
+        planes = new((3, v.height, v.width), np.float32)
+        depth, opacity = new((v.height, v.width), np.float32), new((v.height, v.width), np.float32)
+        done = np.zeros(v.tiles_x * v.tiles_y, np.int32)
+        counts = np.zeros((self.threads, len(order) if count_touched else 0), np.int32)
+        blend.blend_forward(
+            packed, rows, starts, entries, v.rays, self._wrap, self.stop, tiles, self.threads,
+            planes, depth, opacity, done, counts,
+        )  # fmt: skip
+        touched = None
+        if count_touched:
+            touched = np.zeros(n, np.int32)
+            touched[order] = counts.sum(axis=0)
+        out = RenderOutput(planes, depth, opacity, touched, order)
+        self._scene = _Scene(gaussians, R_cw, t_cw, packed, rows, starts, entries, done, tiles, out)
+        return out
+
+    def backward(
+        self, d_colour: F32, d_depth: F32 | None = None, d_opacity: F32 | None = None, *, planar: bool = False
+    ) -> Gradients:
+        """Gradients of the last ``forward`` for dL/d(output). d_colour (H, W, 3), or (3, H, W) if ``planar``."""
+        s, v = self._scene, self.view
+        if s is None:
+            raise RuntimeError("backward() needs a forward() first")
+        dc = np.ascontiguousarray(d_colour if planar else np.moveaxis(d_colour, -1, 0), dtype=np.float32)
+        dd = _NO_2D if d_depth is None else np.ascontiguousarray(d_depth, dtype=np.float32)
+        do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
+        moments = np.zeros((self.threads, len(s.out.order), MOMENTS), np.float32)
+        blend.blend_backward(
+            s.packed, s.rows, s.starts, s.entries, v.rays, self._wrap, s.tiles, self.threads,
+            s.out.planes, s.out.depth, s.out.opacity, s.done, dc, dd, do, moments,
+        )  # fmt: skip
+        g = s.gaussians
+        packed = np.zeros((len(g), chain.PARAMETERS), np.float32)
+        pose = np.zeros((self.threads, 6))
+        chain.parameter_gradients(
+            s.out.order, moments, g.means, g.log_scales, g.quats, g.opacity_logits,
+            s.R_cw, s.t_cw, v.projection, v.intrinsics, v.pixel_angle, self.low_pass, packed, pose,
+        )  # fmt: skip
+        return Gradients(packed, pose.sum(axis=0))

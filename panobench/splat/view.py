@@ -1,0 +1,100 @@
+"""What the kernels need to know of a camera: a ray per pixel, tiles, and how to bound a footprint."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.errors import UnsupportedError
+from panobench.splat.kernel_options import TILE_H, TILE_W
+
+Projection = Literal["sphere", "erp", "pinhole"]
+#: Kernel codes of the projections.
+SPHERE, CONIC_ERP, CONIC_PINHOLE = 0, 1, 2
+#: How a footprint is bounded: latitude/longitude rectangle (ERP), rectangle in pixels, cone per tile.
+BOUND_LATLON, BOUND_PIXELS, BOUND_CONES = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class View:
+    """Tables for one camera and projection.
+
+    rays (3, H, W) float32: unit rays ("sphere") or (u, v, 1) (first-order projections); 0 where there is none.
+    cones (tiles, 4): mean ray and cosine of the angular radius of each tile, for BOUND_CONES.
+    intrinsics (8,): W, H, fx, fy, cx, cy, limit_x, limit_y (the last two bound x/z, y/z inside pinhole Jacobians).
+    """
+
+    width: int
+    height: int
+    projection: int
+    bound: int
+    rays: NDArray[np.float32]
+    cones: NDArray[np.float32]
+    intrinsics: NDArray[np.float64]
+    pixel_angle: float
+
+    @property
+    def tiles_x(self) -> int:
+        return -(-self.width // TILE_W)
+
+    @property
+    def tiles_y(self) -> int:
+        return -(-self.height // TILE_H)
+
+
+def make_view(camera: Camera, projection: Projection = "sphere") -> View:
+    """Tables for rendering ``camera``. Raises UnsupportedError for a projection the camera does not have.
+
+    "sphere" serves every camera; "erp" is the paper's first-order projection of an ErpCamera; "pinhole" the
+    usual one of an undistorted PinholeCamera.
+    """
+    W, H = camera.width, camera.height
+    intrinsics = np.array([W, H, 0, 0, 0, 0, 0, 0], dtype=np.float64)
+    if camera.kind == "pinhole":
+        fx, fy, cx, cy = (float(getattr(camera, n)) for n in ("fx", "fy", "cx", "cy"))
+        intrinsics[2:] = [fx, fy, cx, cy, 0.65 * W / fx, 0.65 * H / fy]
+    if projection == "sphere":
+        rays = np.nan_to_num(camera.rays()).transpose(2, 0, 1).astype(np.float32)
+        bound = BOUND_LATLON if camera.kind == "erp" else BOUND_CONES
+        code = SPHERE
+    else:
+        if camera.kind != projection or any(getattr(camera, "distortion", ()) or ()):
+            raise UnsupportedError(
+                f"projection '{projection}' cannot render this {camera.kind} camera; 'sphere' renders every camera"
+            )
+        u, v = np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
+        rays = np.stack([u, v, np.ones_like(u)]).astype(np.float32)
+        bound, code = BOUND_PIXELS, CONIC_ERP if projection == "erp" else CONIC_PINHOLE
+    angle = 2 * np.pi / W if camera.kind == "erp" else _pixel_angle(camera)
+    cones = _tile_cones(rays) if bound == BOUND_CONES else np.zeros((0, 4), np.float32)
+    return View(W, H, code, bound, np.ascontiguousarray(rays), cones, intrinsics, angle)
+
+
+def _pixel_angle(camera: Camera) -> float:
+    """Angular size of a pixel where the image is sharpest: 1/fx for a pinhole, else the median pixel's."""
+    if camera.kind == "pinhole":
+        return 1.0 / float(camera.fx)  # type: ignore[attr-defined]
+    area = camera.solid_angle()
+    return float(np.sqrt(np.median(area[area > 0])))
+
+
+def _tile_cones(rays: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Smallest cone about the mean ray that holds every ray of a tile; empty tiles get cosine 2."""
+    _, H, W = rays.shape
+    ny, nx = -(-H // TILE_H), -(-W // TILE_W)
+    cones = np.zeros((ny * nx, 4), np.float32)
+    for t in range(ny * nx):
+        y, x = (t // nx) * TILE_H, (t % nx) * TILE_W
+        block = rays[:, y : y + TILE_H, x : x + TILE_W].reshape(3, -1)
+        block = block[:, np.abs(block).sum(axis=0) > 0]
+        if block.shape[1] == 0:
+            cones[t] = [0, 0, 1, 2]
+            continue
+        mean = block.mean(axis=1)
+        mean /= max(float(np.linalg.norm(mean)), 1e-9)
+        cones[t] = [*mean, max(float((mean @ block).min()) - 1e-6, -1.0)]
+    return cones
