@@ -52,29 +52,6 @@ def _exp(xi, R, t):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _solve6(M, g, x):  # type: ignore[no-untyped-def]
-    """x with M x = g for a positive definite 6x6 M (destroyed): LDL^T without pivoting."""
-    for j in range(6):
-        for k in range(j):
-            M[j, j] -= M[j, k] * M[j, k] * M[k, k]
-        pivot = max(M[j, j], 1e-12)
-        M[j, j] = pivot
-        for i in range(j + 1, 6):
-            for k in range(j):
-                M[i, j] -= M[i, k] * M[j, k] * M[k, k]
-            M[i, j] /= pivot
-    for i in range(6):
-        x[i] = g[i]
-        for k in range(i):
-            x[i] -= M[i, k] * x[k]
-    for i in range(6):
-        x[i] /= M[i, i]
-    for i in range(5, -1, -1):
-        for k in range(i + 1, 6):
-            x[i] -= M[k, i] * x[k]
-
-
-@njit(cache=True)
 def _residual(R, t, X, b, focal, J, Y):  # type: ignore[no-untyped-def]
     """Residual (2) in pixels; J (2, 3) is its derivative by the point in the camera frame, Y (3) that point."""
     for r in range(3):
@@ -112,50 +89,21 @@ def _pose_cost(R, t, X, b, focal, huber):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _solve_pose(R, t, X, b, focal, huber, iterations, damping):  # type: ignore[no-untyped-def]
+def _pose_system(R, t, X, b, focal, huber, H, g):  # type: ignore[no-untyped-def]
+    """Normal equations H (6, 6) and g (6,) of one pose; H and g come in as zeros."""
     J, Y = np.empty((2, 3)), np.empty(3)
-    row, xi = np.empty(6), np.empty(6)
-    cost = _pose_cost(R, t, X, b, focal, huber)
-    for _ in range(iterations):
-        H = np.zeros((6, 6))
-        g = np.zeros(6)
-        for n in range(len(X)):
-            e0, e1 = _residual(R, t, X[n], b[n], focal, J, Y)
-            q = math.sqrt(e0 * e0 + e1 * e1)
-            w = 1.0 if q < huber else huber / q
-            for i in range(2):
-                e = e0 if i == 0 else e1
-                _pose_row(J, Y, i, row)
-                for r in range(6):
-                    g[r] += w * row[r] * e
-                    for c in range(r, 6):
-                        H[r, c] += w * row[r] * row[c]
-        for r in range(6):
-            for c in range(r):
-                H[r, c] = H[c, r]
-        improved = False
-        for _ in range(5):
-            M = H.copy()
+    row = np.empty(6)
+    for n in range(len(X)):
+        e0, e1 = _residual(R, t, X[n], b[n], focal, J, Y)
+        q = math.sqrt(e0 * e0 + e1 * e1)
+        w = 1.0 if q < huber else huber / q
+        for i in range(2):
+            e = e0 if i == 0 else e1
+            _pose_row(J, Y, i, row)
             for r in range(6):
-                M[r, r] += damping * H[r, r] + 1e-9
-            _solve6(M, g, xi)
-            for r in range(6):
-                xi[r] = -xi[r]
-            R2, t2 = R.copy(), t.copy()
-            _exp(xi, R2, t2)
-            new = _pose_cost(R2, t2, X, b, focal, huber)
-            if new < cost:
-                improved = True
-                break
-            damping = max(damping * 10, 1e-6)
-        if not improved:
-            break
-        done = cost - new < 1e-6 * cost
-        R[:], t[:], cost = R2, t2, new
-        damping *= 0.1
-        if done:
-            break
-    return cost
+                g[r] += w * row[r] * e
+                for c in range(6):
+                    H[r, c] += w * row[r] * row[c]
 
 
 @njit(cache=True)
@@ -168,9 +116,28 @@ def _errors(R, t, kf, pt, X, b, focal, out):  # type: ignore[no-untyped-def]
 
 def solve_pose(T_cw: Array, points: Array, bearings: Array, focal: float, huber: float, iterations: int = 10) -> Array:
     """World-to-camera pose (4, 4) that best sees points (N, 3) along bearings (N, 3), from the start ``T_cw``."""
+    if len(points) < 3:
+        return T_cw
+    X, b = np.ascontiguousarray(points), np.ascontiguousarray(bearings)
     R, t = T_cw[:3, :3].copy(), T_cw[:3, 3].copy()
-    if len(points) >= 3:
-        _solve_pose(R, t, np.ascontiguousarray(points), np.ascontiguousarray(bearings), focal, huber, iterations, 1e-4)
+    cost, damping = _pose_cost(R, t, X, b, focal, huber), 1e-4
+    for _ in range(iterations):
+        H, g = np.zeros((6, 6)), np.zeros(6)
+        _pose_system(R, t, X, b, focal, huber, H, g)
+        new = cost
+        for _ in range(5):
+            R2, t2 = R.copy(), t.copy()
+            _exp(-np.linalg.solve(H + np.diag(damping * np.diag(H) + 1e-9), g), R2, t2)
+            new = _pose_cost(R2, t2, X, b, focal, huber)
+            if new < cost:
+                break
+            damping *= 10
+        if not new < cost:
+            break
+        small = cost - new < 1e-6 * cost
+        R, t, cost, damping = R2, t2, new, damping * 0.1
+        if small:
+            break
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, t
     return renormalise(T)
@@ -198,10 +165,12 @@ def _ba_cost(R, t, X, kf, pt, b, focal, huber):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _ba_system(R, t, X, kf, pt, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hcp):  # type: ignore[no-untyped-def]
-    """Normal equations: Hc (C, 6, 6), gc (C, 6), Hp (P, 3, 3), gp (P, 3), Hcp (N, 6, 3). slot < 0: pose fixed."""
+    """Normal equations: Hc (C, 6, 6), gc (C, 6), Hp (P, 3, 3), gp (P, 3), Hcp (N, 6, 3). They come in as zeros.
+
+    slot < 0: the pose is fixed.
+    """
     J, Y = np.empty((2, 3)), np.empty(3)
     row, side = np.empty(6), np.empty(3)
-    Hc[:], gc[:], Hp[:], gp[:], Hcp[:] = 0.0, 0.0, 0.0, 0.0, 0.0
     for n in range(len(kf)):
         k, p = kf[n], pt[n]
         Rk = R[k]
@@ -233,8 +202,7 @@ def _inverse3(M, out):  # type: ignore[no-untyped-def]
     A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
     det = a * A + b * B + c * C
     if det <= 0:
-        out[:] = 0.0
-        return
+        det = 1e300
     out[0, 0], out[0, 1], out[0, 2] = A / det, B / det, C / det
     out[1, 1], out[1, 2], out[2, 2] = (a * f - c * c) / det, (b * c - a * e) / det, (a * d - b * b) / det
     out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
@@ -243,7 +211,6 @@ def _inverse3(M, out):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _schur(kf, first, slot, Hc, gc, Hp, gp, Hcp, damping, S, g, Hp_inv):  # type: ignore[no-untyped-def]
     """Reduced camera system S x = g (upper blocks mirrored by the caller); observations sorted by point."""
-    S[:], g[:] = 0.0, 0.0
     for s in range(len(Hc)):
         for r in range(6):
             g[6 * s + r] = gc[s, r]
@@ -335,9 +302,13 @@ def bundle_adjust(
     cost = _ba_cost(R, t, X, kf, pt, b, focal, huber)
     damping = 1e-4
     for _ in range(iterations):
+        for array in (Hc, gc, Hp, gp, Hcp):
+            array.fill(0.0)
         _ba_system(R, t, X, kf, pt, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hcp)
         improved = False
         for _ in range(5):
+            S.fill(0.0)
+            g.fill(0.0)
             _schur(kf, first, slot, Hc, gc, Hp, gp, Hcp, damping, S, g, Hp_inv)
             # The kernel fills the blocks (s, o) in the order observations come; sum both halves.
             full = _symmetric(S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,6 +43,7 @@ class Initialiser:
     rig: FaceRig
     config: SparseConfig
     rng: np.random.Generator
+    pool: Executor | None = None
     glimpses: list[Glimpse] = field(default_factory=list)
 
     def reset(self) -> None:
@@ -97,7 +99,8 @@ class Initialiser:
         for level in range(len(pyramid) - 1, -1, -1):
             before = ok.copy()
             kept = bearings.copy()
-            align_level(
+            score = align_level(
+                self.pool,
                 pyramid[level],
                 self.rig.valid,
                 level,
@@ -107,12 +110,10 @@ class Initialiser:
                 np.ascontiguousarray(self.templates[:, level]),
                 self.anchors,
                 np.zeros(len(ok)),
-                R[None],
-                np.zeros((1, 3)),
+                make_pose(R, np.zeros(3))[None],
                 zero,
                 bearings,
                 ok,
-                score,
                 LIMITS[min(len(pyramid) - 1 - level, len(LIMITS) - 1)] * (1.5 if level else 1.0),
             )
             if level > 0:  # a level without texture decides nothing

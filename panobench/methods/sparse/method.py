@@ -7,6 +7,7 @@ against it (``tracking``); keyframes grow it and local bundle adjustment refines
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,8 @@ class SparseMethod(OnlineMethod):
         self.context = context
         self.rig = build_rig(camera, self.config.face_pixels, self.config.levels)
         self.rng = np.random.default_rng(context.seed)
-        self.initialiser = Initialiser(self.rig, self.config, self.rng)
+        self.pool = ThreadPoolExecutor(2)
+        self.initialiser = Initialiser(self.rig, self.config, self.rng, self.pool)
         self.map: PointMap | None = None
         self.records: list[FrameRecord] = []
         self.numbers: dict[int, dict[str, float]] = {}
@@ -112,7 +114,7 @@ class SparseMethod(OnlineMethod):
     def _track(self, pyramid: Pyramid, frame: Frame) -> Array | None:
         m = self.map
         assert m is not None
-        aligner = Aligner(self.rig, self.config, m)
+        aligner = Aligner(self.rig, self.config, m, self.pool)
         tracked = None
         for guess in (self.velocity @ self.T_cw, self.T_cw):
             tracked = track_frame(aligner, pyramid, renormalise(guess), frame.index, self.config.min_inliers)
@@ -181,6 +183,7 @@ class SparseMethod(OnlineMethod):
         return renormalise(record.T_ck @ self.map.keyframes[record.keyframe].T_cw)
 
     def finish(self) -> Estimate:
+        self.pool.shutdown()
         m = self.map
         if m is None:
             empty = Trajectory(np.empty(0), np.empty((0, 4, 4)))

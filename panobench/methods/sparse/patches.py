@@ -9,9 +9,11 @@ remaining 2-D shift coarse to fine: inverse-compositional Gauss-Newton with an i
 from __future__ import annotations
 
 import math
+from concurrent.futures import Executor
+from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 #: Side of a stored template; large enough for an 8x8 window rotated and scaled inside it.
@@ -62,11 +64,11 @@ def _bilinear(image, u, v):  # type: ignore[no-untyped-def]
     return top + b * (bottom - top)
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, nogil=True)
 def _cut_level(image, level, R_fc, K, bearings, pitch, out):  # type: ignore[no-untyped-def]
     scale = 1.0 / (1 << level)
     step = pitch * (1 << level)
-    for n in prange(bearings.shape[0]):
+    for n in range(bearings.shape[0]):
         x, y, z = bearings[n, 0], bearings[n, 1], bearings[n, 2]
         ax, ay, az, bx, by, bz = tangent_basis(x, y, z)
         for i in range(STORED):
@@ -191,19 +193,13 @@ def _zncc(image, template, u, v):  # type: ignore[no-untyped-def]
     return (sab - sa * sb / n) / math.sqrt(va * vb)
 
 
-@njit(cache=True, parallel=True, nogil=True)
-def align_level(  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True)
+def _align_level(  # type: ignore[no-untyped-def]
     image, valid, level, R_fc, K, focal, stored, anchors, rho, R_ca, t_ca, which, bearings, ok, score, limit
 ):
-    """One pyramid level for N points; updates bearings (N, 3) and ok (N,), and writes score (N,) (ZNCC).
-
-    stored (N, 16, 16): the level's templates; anchors (N, 3): their bearings; rho (N,): inverse distance there;
-    R_ca, t_ca (K, 3, 3), (K, 3): anchor keyframe to current camera, picked by which (N,).
-    bearings come in as the prediction and leave as the measurement. limit: largest shift in this level's pixels.
-    """
     scale = 1.0 / (1 << level)
     h, w = image.shape[1], image.shape[2]
-    for n in prange(anchors.shape[0]):
+    for n in range(anchors.shape[0]):
         if not ok[n]:
             continue
         ok[n] = False
@@ -256,3 +252,45 @@ def align_level(  # type: ignore[no-untyped-def]
         for c in range(3):
             bearings[n, c] = (R_fc[f, 0, c] * dx + R_fc[f, 1, c] * dy + R_fc[f, 2, c]) / norm
         ok[n] = True
+
+
+def align_level(
+    pool: Executor | None,
+    image: NDArray[np.uint8],
+    valid: NDArray[np.bool_],
+    level: int,
+    R_fc: NDArray[np.float64],
+    intrinsics: NDArray[np.float64],
+    focal: float,
+    stored: NDArray[np.float32],
+    anchors: NDArray[np.float64],
+    rho: NDArray[np.float64],
+    motion: NDArray[np.float64],
+    which: NDArray[np.int64],
+    bearings: NDArray[np.float64],
+    ok: NDArray[np.bool_],
+    limit: float,
+) -> NDArray[np.float64]:
+    """One pyramid level for N points; updates bearings (N, 3) and ok (N,) in place and returns the ZNCC (N,).
+
+    image (F, H, W): the level's faces; valid (F, H0, W0): of level 0. stored (N, 16, 16): the level's templates;
+    anchors (N, 3): their bearings; rho (N,): inverse distance there; motion (K, 4, 4): anchor keyframe to current
+    camera, picked by which (N,). bearings come in as the prediction and leave as the measurement.
+    limit: largest shift, in this level's pixels. Points are independent, so halves may run on ``pool``.
+    """
+    score = np.zeros(len(anchors))
+    R, t = np.ascontiguousarray(motion[:, :3, :3]), np.ascontiguousarray(motion[:, :3, 3])
+
+    kernel: Any = _align_level
+
+    def part(s: slice) -> None:
+        per_point: list[Any] = [a[s] for a in (stored, anchors, rho)]
+        results: list[Any] = [a[s] for a in (which, bearings, ok, score)]
+        kernel(image, valid, level, R_fc, intrinsics, focal, *per_point, R, t, *results, limit)
+
+    n = len(anchors)
+    if pool is None or n < 100:
+        part(slice(0, n))
+    else:
+        list(pool.map(part, (slice(0, n // 2), slice(n // 2, n))))
+    return score

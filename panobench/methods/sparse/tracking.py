@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +50,7 @@ class Aligner:
     rig: FaceRig
     config: SparseConfig
     map: PointMap
+    pool: Executor | None = None
 
     def run(
         self,
@@ -61,10 +63,8 @@ class Aligner:
     ) -> Array:
         """One level for map points, in place on bearings and ok; returns the ZNCC (N,)."""
         m = self.map
-        kfs = invert_pose(m.poses())
-        rel = T_cw @ kfs
-        score = np.zeros(len(points))
-        align_level(
+        return align_level(
+            self.pool,
             pyramid[level],
             self.rig.valid,
             level,
@@ -74,15 +74,12 @@ class Aligner:
             m.template[points, level],
             m.anchor_bearing[points],
             m.inverse_distance(points),
-            np.ascontiguousarray(rel[:, :3, :3]),
-            np.ascontiguousarray(rel[:, :3, 3]),
+            T_cw @ invert_pose(m.poses()),
             m.anchor[points],
             bearings,
             ok,
-            score,
             LIMITS[min(len(pyramid) - 1 - level, len(LIMITS) - 1)],
         )
-        return score
 
 
 def choose_points(m: PointMap, rig: FaceRig, T_cw: Array, frame: int) -> NDArray[np.int64]:
