@@ -13,4 +13,5 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "list": ("panobench.cli.list", "Show every camera, dataset, method, depth estimator, metric and study."),
     "plugin": ("panobench.cli.plugin", "Write a plugin package, or check one against the contract."),
     "convert": ("panobench.cli.convert", "Convert a dataset to another camera model."),
+    "synth": ("panobench.cli.synth", "Make data in the formats of published data sets."),
 }

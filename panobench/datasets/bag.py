@@ -26,9 +26,9 @@ ENCODINGS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3}
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """The fixed part of a sensor_msgs/Image: stamp in ns, size, encoding, bytes per row, where its pixels are."""
+    """The fixed part of a sensor_msgs/Image: stamp in s, size, encoding, bytes per row, where its pixels are."""
 
-    stamp_ns: int
+    stamp: float
     width: int
     height: int
     encoding: str
@@ -91,21 +91,18 @@ class BagFile:
             raise DatasetError(f"topic '{topic}' has messages of type {found}, expected {kind}", self.path)
         return [c for c in self._reader.connections if c.topic == topic]
 
-    def raw(self, topic: str, kind: str) -> Iterator[tuple[int, memoryview | bytes]]:
-        """(receive time in ns, serialised message) in order of receive time."""
-        connections = self.connections(topic, kind)
+    def records(self, connections: list[Any]) -> Iterator[tuple[str, int, bytes]]:
+        """(topic, receive time in ns, serialised message) in order of receive time, reading the file once."""
         with self._lock, explained_bag_errors(self.path):
-            for _, stamp, data in self._reader.messages(connections):
-                yield stamp, data
+            for connection, stamp, data in self._reader.messages(connections):
+                yield connection.topic, stamp, data
 
-    def messages(self, topic: str, kind: str) -> Iterator[Any]:
-        """Deserialised messages in order of receive time. Raises DatasetError naming a broken one's number."""
-        for index, (_, data) in enumerate(self.raw(topic, kind)):
-            try:
-                message = self._types.deserialize_ros1(data, kind)
-            except Exception as error:  # the generated deserialisers raise whatever the bytes lead to
-                raise DatasetError(f"a message of '{topic}' does not parse ({error})", self.path, frame=index) from None
-            yield message
+    def parse(self, data: bytes, topic: str, kind: str, index: int) -> Any:
+        """A message as an object. Raises DatasetError naming its number if it does not parse."""
+        try:
+            return self._types.deserialize_ros1(data, kind)
+        except Exception as error:  # the generated deserialisers raise whatever the bytes lead to
+            raise DatasetError(f"a message of '{topic}' does not parse ({error})", self.path, frame=index) from None
 
     def at(self, connections: list[Any], stamp: int, nth: int) -> bytes:
         """The ``nth`` message received at exactly ``stamp``."""
@@ -135,7 +132,7 @@ def parse_image_header(data: bytes | memoryview, path: Path, frame: int) -> Imag
         raise DatasetError(f"a {width}x{height} {encoding} image cannot have {length} bytes", path, frame=frame)
     if offset + length > len(data):
         raise DatasetError("the image message is truncated", path, frame=frame)
-    return ImageHeader(secs * 10**9 + nsecs, width, height, encoding, step, offset, length)
+    return ImageHeader(secs + 1e-9 * nsecs, width, height, encoding, step, offset, length)
 
 
 def decode_image_message(data: bytes, path: Path, frame: int) -> NDArray[np.uint8]:

@@ -7,13 +7,14 @@ offset; the motion capture's stamps are taken as they are (its offset is not pub
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.bag import BagFile, ImageHeader, decode_image_message, parse_image_header
+from panobench.datasets.bag import BagFile, decode_image_message, parse_image_header
 from panobench.datasets.base import Dataset, Sequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.folder import read_imu_csv
@@ -51,70 +52,11 @@ class PalvioBagSequence(Sequence):
         self.path, self.name, self.dataset, self.calibration = path, name, "palvio", calibration
         self._bag = BagFile(path)
         self._connections = self._bag.connections(calibration.image_topic, IMAGE)
-        self._where, self.times = self._index_images()
+        contents = _read_once(self._bag, calibration)
+        self._where, self.times = contents.where, contents.times
+        self._imu, self._dropped = contents.imu, contents.dropped
+        self._groundtruth = None if contents.body is None else camera_truth(contents.body, self.times, calibration)
         self.camera = scaled_camera(calibration.camera, width)
-        self._imu = self._read_imu()
-        self._dropped = 0
-        body = self._read_body()
-        self._groundtruth = None if body is None else camera_truth(body, self.times, calibration)
-
-    def _index_images(self) -> tuple[list[tuple[int, int]], NDArray[np.float64]]:
-        """Where each image is (receive time, how-many-th at that time), and the header stamps in seconds."""
-        native = self.calibration.camera
-        where: list[tuple[int, int]] = []
-        stamps = []
-        for frame, (received, data) in enumerate(self._bag.raw(self.calibration.image_topic, IMAGE)):
-            header: ImageHeader = parse_image_header(data, self.path, frame)
-            if (header.width, header.height) != (native.width, native.height):
-                raise DatasetError(
-                    f"the image is {header.width}x{header.height} pixels, "
-                    f"the calibration is for {native.width}x{native.height}",
-                    self.path,
-                    frame=frame,
-                )
-            nth = where[-1][1] + 1 if where and where[-1][0] == received else 0
-            where.append((received, nth))
-            stamps.append(header.stamp_ns * 1e-9)
-        if not where:
-            raise DatasetError(f"topic '{self.calibration.image_topic}' has no image", self.path)
-        times = np.array(stamps)
-        check_times(times, self.path)
-        return where, times
-
-    def _read_imu(self) -> Imu | None:
-        topic = self.calibration.imu_topic
-        if topic not in self._bag.topics:
-            return None
-        rows = []
-        for m in self._bag.messages(topic, IMU):
-            w, a = m.angular_velocity, m.linear_acceleration
-            rows.append((_stamp(m), w.x, w.y, w.z, a.x, a.y, a.z))
-        table = np.array(rows, dtype=np.float64).reshape(-1, 7)
-        bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
-        if len(bad):
-            raise DatasetError(f"a message of '{topic}' holds NaN", self.path, frame=int(bad[0]))
-        table = table[_increasing(table[:, 0])]
-        return Imu(table[:, 0] - self.calibration.time_offset_s, table[:, 1:4], table[:, 4:7])
-
-    def _read_body(self) -> Trajectory | None:
-        topic = self.calibration.groundtruth_topic
-        if topic not in self._bag.topics:
-            return None
-        rows = []
-        for m in self._bag.messages(topic, ODOMETRY):
-            p, q = m.pose.pose.position, m.pose.pose.orientation
-            rows.append((_stamp(m), p.x, p.y, p.z, q.x, q.y, q.z, q.w))
-        table = np.array(rows, dtype=np.float64).reshape(-1, 8)
-        norm = np.linalg.norm(table[:, 4:8], axis=1)
-        bad = np.flatnonzero(~np.isfinite(table).all(axis=1) | (np.abs(norm - 1) > 0.05))
-        if len(bad):
-            raise DatasetError(f"a message of '{topic}' holds NaN or no rotation", self.path, frame=int(bad[0]))
-        keep = _increasing(table[:, 0])
-        self._dropped = int(len(table) - keep.sum())
-        table = table[keep]
-        if not len(table):
-            return None
-        return Trajectory(table[:, 0], make_pose(matrix_from_quat(table[:, 4:8]), table[:, 1:4]))
 
     def image(self, index: int) -> NDArray[np.uint8]:
         index = range(len(self))[index]
@@ -145,6 +87,86 @@ class PalvioBagSequence(Sequence):
             "groundtruth_messages_out_of_order": self._dropped,
             **files_provenance([self.path]),
         }
+
+
+@dataclass(frozen=True)
+class _Contents:
+    """What one pass over a bag finds; ``where``: (receive time, how-many-th message at that time) of each image."""
+
+    where: list[tuple[int, int]]
+    times: NDArray[np.float64]
+    imu: Imu | None
+    body: Trajectory | None
+    dropped: int
+
+
+def _read_once(bag: BagFile, calibration: PalvioCalibration) -> _Contents:
+    """One pass: the bags are compressed, and decompressing them is what takes the time."""
+    image_topic = calibration.image_topic
+    kinds = {calibration.imu_topic: IMU, calibration.groundtruth_topic: ODOMETRY}
+    connections = bag.connections(image_topic, IMAGE)
+    for topic, kind in kinds.items():
+        if topic in bag.topics:
+            connections = connections + bag.connections(topic, kind)
+    where: list[tuple[int, int]] = []
+    stamps: list[float] = []
+    rows: dict[str, list[tuple[float, ...]]] = {topic: [] for topic in kinds}
+    for topic, received, data in bag.records(connections):
+        if topic == image_topic:
+            stamps.append(_checked_stamp(data, calibration, bag.path, len(stamps)))
+            where.append((received, where[-1][1] + 1 if where and where[-1][0] == received else 0))
+        else:
+            message = bag.parse(data, topic, kinds[topic], len(rows[topic]))
+            rows[topic].append(_imu_row(message) if kinds[topic] == IMU else _pose_row(message))
+    if not where:
+        raise DatasetError(f"topic '{image_topic}' has no image", bag.path)
+    times = np.array(stamps)
+    check_times(times, bag.path)
+    samples, _ = _checked_rows(rows[calibration.imu_topic], 7, calibration.imu_topic, bag.path)
+    poses, dropped = _checked_rows(rows[calibration.groundtruth_topic], 8, calibration.groundtruth_topic, bag.path)
+    imu, body = None, None
+    if len(samples):
+        imu = Imu(samples[:, 0] - calibration.time_offset_s, samples[:, 1:4], samples[:, 4:7])
+    if len(poses):
+        body = Trajectory(poses[:, 0], make_pose(matrix_from_quat(poses[:, 4:8]), poses[:, 1:4]))
+    return _Contents(where, times, imu, body, dropped)
+
+
+def _checked_stamp(data: bytes, calibration: PalvioCalibration, path: Path, frame: int) -> float:
+    """An image's stamp in seconds, once its size is known to be the calibration's."""
+    header, native = parse_image_header(data, path, frame), calibration.camera
+    if (header.width, header.height) != (native.width, native.height):
+        raise DatasetError(
+            f"the image is {header.width}x{header.height} pixels, "
+            f"the calibration is for {native.width}x{native.height}",
+            path,
+            frame=frame,
+        )
+    return header.stamp
+
+
+def _imu_row(m: Any) -> tuple[float, ...]:
+    w, a = m.angular_velocity, m.linear_acceleration
+    return (_stamp(m), w.x, w.y, w.z, a.x, a.y, a.z)
+
+
+def _pose_row(m: Any) -> tuple[float, ...]:
+    p, q = m.pose.pose.position, m.pose.pose.orientation
+    return (_stamp(m), p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+
+
+def _checked_rows(
+    rows: list[tuple[float, ...]], columns: int, topic: str, path: Path
+) -> tuple[NDArray[np.float64], int]:
+    """Rows as a table (N, columns), those out of time order left out and counted. A quaternion ends an 8-column row."""
+    table = np.array(rows, dtype=np.float64).reshape(-1, columns)
+    bad = ~np.isfinite(table).all(axis=1)
+    if columns == 8:
+        bad |= np.abs(np.linalg.norm(table[:, 4:8], axis=1) - 1) > 0.05
+    if bad.any():
+        raise DatasetError(f"a message of '{topic}' holds NaN or no rotation", path, frame=int(np.argmax(bad)))
+    keep = _increasing(table[:, 0])
+    return table[keep], int(len(table) - keep.sum())
 
 
 def _notes(calibration: PalvioCalibration) -> dict[str, Any]:

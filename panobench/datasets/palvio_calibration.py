@@ -7,6 +7,7 @@ Facts collected from the public LF-VIO and LF-VISLAM repositories (Wang et al., 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ _UP_CAMERA: dict[str, Any] = {
     "cy": 486.025172 + 0.5,
 }
 #: The valid annulus: centre (column, row; first pixel 0) and radii in pixels.
-_ANNULUS = ((640.991301, 490.937512), 160.0, 500.0)
+ANNULUS = ((640.991301, 490.937512), 160.0, 500.0)
 _BODY_R_CAM = [
     [-1.7258e-4, -0.0512844, 0.9986841],
     [-0.9997760, 0.0211430, 9.1296e-4],
@@ -68,9 +69,10 @@ def annulus_mask(width: int, height: int, centre: ArrayLike, r_min: float, r_max
     return np.asarray((r >= r_min) & (r <= r_max))
 
 
+@lru_cache(maxsize=1)
 def built_in_calibration() -> PalvioCalibration:
     """The 'up' camera's calibration, mask and extrinsics."""
-    camera = camera_from_dict(_UP_CAMERA).with_mask(annulus_mask(WIDTH, HEIGHT, *_ANNULUS))
+    camera = camera_from_dict(_UP_CAMERA).with_mask(annulus_mask(WIDTH, HEIGHT, *ANNULUS))
     return PalvioCalibration(camera, renormalise(make_pose(_BODY_R_CAM, _BODY_T_CAM)))
 
 

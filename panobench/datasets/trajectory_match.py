@@ -9,6 +9,8 @@ from panobench.geometry import make_pose, so3_exp, so3_log
 from panobench.types import Trajectory
 
 Array = NDArray[np.float64]
+#: Stamps since 1970 in float64 are good to a quarter of a microsecond.
+_ROUNDING_S = 1e-6
 
 
 def nearest(times: Array, wanted: Array) -> NDArray[np.intp]:
@@ -45,11 +47,11 @@ def interpolate_poses(trajectory: Trajectory, times: Array, *, max_gap: float = 
         return match_to_times(trajectory, times, 0.0)
     right = np.clip(np.searchsorted(t, times), 1, len(t) - 1)
     left = right - 1
-    inside = (times >= t[0]) & (times <= t[-1])
+    inside = (times >= t[0] - _ROUNDING_S) & (times <= t[-1] + _ROUNDING_S)
     exact = (times == t[left]) | (times == t[right])
     keep = inside & (exact | (t[right] - t[left] <= max_gap))
     left, right, wanted = left[keep], right[keep], times[keep]
-    s = (wanted - t[left]) / (t[right] - t[left])
+    s = np.clip((wanted - t[left]) / (t[right] - t[left]), 0.0, 1.0)
     R0, R1 = trajectory.T_wc[left, :3, :3], trajectory.T_wc[right, :3, :3]
     R = R0 @ so3_exp(s[:, None] * so3_log(np.swapaxes(R0, 1, 2) @ R1))
     p = (1 - s)[:, None] * trajectory.positions[left] + s[:, None] * trajectory.positions[right]

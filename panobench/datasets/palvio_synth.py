@@ -1,0 +1,268 @@
+"""Making a bag with PALVIO's topics, types and calibration from any panoramic sequence with ground truth.
+
+The published bags cannot be shipped; this one lets users try the pipeline, and tests the reader.
+Pose splines give body poses and ideal IMU samples: specific force R_bw (a_w - g) and the angular rate in body axes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.cameras.factory import upright_rotation
+from panobench.cameras.reproject import Reprojector
+from panobench.datasets.base import Sequence
+from panobench.datasets.palvio_calibration import (
+    ANNULUS,
+    OVERRIDE,
+    PalvioCalibration,
+    annulus_mask,
+    built_in_calibration,
+)
+from panobench.datasets.writer import explained_disk_errors
+from panobench.errors import UsageError
+from panobench.geometry import invert_pose, make_pose, quat_from_matrix
+from panobench.types import Trajectory
+
+Array = NDArray[np.float64]
+GRAVITY = 9.80665
+
+
+@dataclass(frozen=True)
+class BagOptions:
+    """frames: at most so many images (None: all). width: of the images (None: 1280). Noise is white, per sample."""
+
+    frames: int | None = None
+    width: int | None = None
+    seed: int = 0
+    start_time_s: int = 1_700_000_000
+    imu_rate_hz: float = 200.0
+    truth_rate_hz: float = 100.0
+    gyro_noise: float = 0.002
+    accel_noise: float = 0.02
+
+
+class BodyMotion:
+    """Smooth body motion through given poses (N, 4, 4) at times (N,): cubic splines of position and rotation."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Rotation, RotationSpline
+
+        self.times = trajectory.times
+        self._position = CubicSpline(trajectory.times, trajectory.positions)
+        self._rotation = RotationSpline(trajectory.times, Rotation.from_matrix(trajectory.T_wc[:, :3, :3]))
+
+    def poses(self, times: Array) -> Array:
+        """(M, 4, 4) world-from-body."""
+        return make_pose(self._rotation(times).as_matrix(), self._position(times))
+
+    def imu(self, times: Array, up: Array) -> tuple[Array, Array]:
+        """Angular rate (M, 3) rad/s and specific force (M, 3) m/s^2 in body axes; ``up`` is against gravity."""
+        R = self._rotation(times).as_matrix()
+        force = self._position(times, 2) + GRAVITY * up
+        return np.asarray(self._rotation(times, 1)), np.einsum("nji,nj->ni", R, force)
+
+
+def sample_times(begin: float, end: float, rate_hz: float) -> Array:
+    """Times at a rate from ``begin``, the last one ``end`` itself so that every image lies between two."""
+    n = int(np.ceil((end - begin) * rate_hz - 1e-6)) + 1
+    return np.minimum(begin + np.arange(n) / rate_hz, end)
+
+
+def upward_axis(T_wc: Array) -> Array:
+    """The world axis (signed unit vector) nearest to the mean up direction, -y, of upright cameras."""
+    mean = -T_wc[:, :3, 1].mean(axis=0)
+    axis = int(np.argmax(np.abs(mean)))
+    return np.asarray(np.sign(mean[axis]) * np.eye(3)[axis])
+
+
+def scaled_calibration(width: int | None) -> tuple[PalvioCalibration, dict[str, Any]]:
+    """PALVIO's calibration for images of another width, and the values of the palvio.yaml that says so."""
+    from dataclasses import replace
+
+    full = built_in_calibration()
+    if width is None or width == full.camera.width:
+        return full, {}
+    s = width / full.camera.width
+    camera: Camera = full.camera.with_mask(None).scaled(width)
+    centre, r_min, r_max = ANNULUS
+    middle = [(c + 0.5) * s - 0.5 for c in centre]
+    mask = annulus_mask(camera.width, camera.height, middle, r_min * s, r_max * s)
+    ring = {"centre": middle, "r_min": r_min * s, "r_max": r_max * s}
+    values = {"camera": camera.to_dict(), "annulus": ring}
+    return replace(full, camera=camera.with_mask(mask)), values
+
+
+def write_palvio_bag(
+    path: Path,
+    sequence: Sequence,
+    options: BagOptions | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Path:
+    """Write ``path`` (a .bag) from a sequence with ground truth at every frame; returns ``path``.
+
+    With another width than 1280 a palvio.yaml with the scaled calibration is written beside it. The
+    bag appears complete or not at all. Raises UsageError if it exists or the sequence has too little truth.
+    """
+    options = options or BagOptions()
+    if path.suffix != ".bag":
+        raise UsageError(f"--out {path}: the file's name must end in .bag")
+    if path.exists():
+        raise UsageError(f"{path} exists already; remove it or choose another --out")
+    calibration, values = scaled_calibration(options.width)
+    motion, frames, up = _plan(sequence, options, calibration)
+    partial = path.with_name(path.name + ".partial")
+    with explained_disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.unlink(missing_ok=True)
+        try:
+            _write(partial, sequence, frames, motion, up, calibration, options, progress)
+            if values:
+                import yaml
+
+                (path.parent / OVERRIDE).write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+    return path
+
+
+def _plan(
+    sequence: Sequence, options: BagOptions, calibration: PalvioCalibration
+) -> tuple[BodyMotion, list[int], Array]:
+    """Body motion over the frames chosen, their indices, and the world's up axis."""
+    truth = sequence.groundtruth
+    n = len(sequence) if options.frames is None else min(options.frames, len(sequence))
+    if n < 4:
+        raise UsageError(f"a bag needs at least 4 frames, not {n}")
+    if truth is None or not np.isin(sequence.times[:n], truth.times).all():
+        raise UsageError(f"sequence '{sequence.name}' has no ground truth for its first {n} frames")
+    truth = truth.select(np.searchsorted(truth.times, sequence.times[:n]))
+    R_pal_source = upright_rotation(calibration.camera).T @ upright_rotation(sequence.camera)
+    T_w_pal = truth.T_wc @ make_pose(R_pal_source.T, np.zeros(3))
+    T_w_body = T_w_pal @ invert_pose(calibration.body_T_cam)
+    upright = truth.T_wc @ make_pose(upright_rotation(sequence.camera).T, np.zeros(3))
+    return BodyMotion(Trajectory(truth.times, T_w_body)), list(range(n)), upward_axis(upright)
+
+
+def _write(
+    path: Path,
+    sequence: Sequence,
+    frames: list[int],
+    motion: BodyMotion,
+    up: Array,
+    calibration: PalvioCalibration,
+    options: BagOptions,
+    progress: Callable[[int], None],
+) -> None:
+    import cv2
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    make = _Messages(store, options)
+    R = upright_rotation(calibration.camera).T @ upright_rotation(sequence.camera)
+    reprojector = Reprojector(sequence.camera, calibration.camera, R)
+    begin, end = float(motion.times[0]), float(motion.times[-1])
+    t_imu = sample_times(begin, end, options.imu_rate_hz)
+    t_truth = sample_times(begin, end, options.truth_rate_hz)
+    gyro, accel = motion.imu(t_imu, up)
+    rng = np.random.default_rng(options.seed)
+    gyro = gyro + rng.normal(0, options.gyro_noise, gyro.shape)
+    accel = accel + rng.normal(0, options.accel_noise, accel.shape)
+    body = motion.poses(t_truth)
+
+    # The IMU's clock is ahead of the camera's by the time offset.
+    events: list[tuple[float, int, int]] = [(t + calibration.time_offset_s, 0, k) for k, t in enumerate(t_imu)]
+    events += [(t, 1, k) for k, t in enumerate(t_truth)]
+    events += [(float(sequence.times[i]), 2, i) for i in frames]
+    topics = (
+        (calibration.imu_topic, make.IMU),
+        (calibration.groundtruth_topic, make.ODOMETRY),
+        (calibration.image_topic, make.IMAGE),
+    )
+    with Writer(path) as writer:
+        connections = [writer.add_connection(topic, kind, typestore=store) for topic, kind in topics]
+        for time, kind, k in sorted(events):
+            if kind == 0:
+                message = make.imu(time, k, gyro[k], accel[k])
+            elif kind == 1:
+                message = make.odometry(time, k, body[k])
+            else:
+                grey = cv2.cvtColor(reprojector.image(sequence.image(k)), cv2.COLOR_RGB2GRAY)
+                message = make.image(time, k, np.asarray(grey, dtype=np.uint8))
+                progress(1)
+            stamp = make.nanoseconds(time)
+            writer.write(connections[kind], stamp, store.serialize_ros1(message, topics[kind][1]))
+
+
+class _Messages:
+    """ROS messages as PALVIO's recordings hold them."""
+
+    IMAGE = "sensor_msgs/msg/Image"
+    IMU = "sensor_msgs/msg/Imu"
+    ODOMETRY = "nav_msgs/msg/Odometry"
+
+    def __init__(self, store: Any, options: BagOptions) -> None:
+        self._types = store.types
+        self._start = options.start_time_s
+
+    def nanoseconds(self, time: float) -> int:
+        return self._start * 10**9 + round(time * 1e9)
+
+    def _header(self, time: float, seq: int, frame: str) -> Any:
+        secs, nsecs = divmod(self.nanoseconds(time), 10**9)
+        stamp = self._types["builtin_interfaces/msg/Time"](sec=secs, nanosec=nsecs)
+        return self._types["std_msgs/msg/Header"](seq=seq, stamp=stamp, frame_id=frame)
+
+    def _vector(self, v: Array) -> Any:
+        return self._types["geometry_msgs/msg/Vector3"](x=float(v[0]), y=float(v[1]), z=float(v[2]))
+
+    def _quaternion(self, R: Array) -> Any:
+        x, y, z, w = (float(c) for c in quat_from_matrix(R))
+        return self._types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+
+    def image(self, time: float, seq: int, grey: NDArray[np.uint8]) -> Any:
+        h, w = grey.shape
+        return self._types[self.IMAGE](
+            header=self._header(time, seq, "pal"),
+            height=h,
+            width=w,
+            encoding="mono8",
+            is_bigendian=0,
+            step=w,
+            data=np.ascontiguousarray(grey).reshape(-1),
+        )
+
+    def imu(self, time: float, seq: int, gyro: Array, accel: Array) -> Any:
+        unknown = np.zeros(9)
+        no_orientation = np.array([-1.0, *np.zeros(8)])  # REP 145: -1 says the orientation is not measured
+        return self._types[self.IMU](
+            header=self._header(time, seq, "base_link"),
+            orientation=self._quaternion(np.eye(3)),
+            orientation_covariance=no_orientation,
+            angular_velocity=self._vector(gyro),
+            angular_velocity_covariance=unknown,
+            linear_acceleration=self._vector(accel),
+            linear_acceleration_covariance=unknown,
+        )
+
+    def odometry(self, time: float, seq: int, T: Array) -> Any:
+        t = self._types
+        point = t["geometry_msgs/msg/Point"](x=float(T[0, 3]), y=float(T[1, 3]), z=float(T[2, 3]))
+        pose = t["geometry_msgs/msg/Pose"](position=point, orientation=self._quaternion(T[:3, :3]))
+        twist = t["geometry_msgs/msg/Twist"](linear=self._vector(np.zeros(3)), angular=self._vector(np.zeros(3)))
+        return t[self.ODOMETRY](
+            header=self._header(time, seq, "world"),
+            child_frame_id="pal",
+            pose=t["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
+            twist=t["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
+        )
