@@ -14,4 +14,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plugin": ("panobench.cli.plugin", "Write a plugin package, or check one against the contract."),
     "convert": ("panobench.cli.convert", "Convert a dataset to another camera model."),
     "synth": ("panobench.cli.synth", "Make data in the formats of published data sets."),
+    "import": ("panobench.cli.import_run", "Score a trajectory made elsewhere; the row is marked imported."),
+    "doctor": ("panobench.cli.doctor", "Say what a method needs and what of it is missing here."),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import time
@@ -119,14 +120,17 @@ def _signal(group: int, others: list[psutil.Process], number: signal.Signals) ->
 
 def log_tail(log: Path, lines: int = 6, characters: int = 500) -> str:
     """The last lines of a log as one printable line, joined by " | "; "" if there is nothing."""
+    return " | ".join(last_lines(log, lines))[-characters:]
+
+
+def last_lines(log: Path, lines: int) -> list[str]:
+    """Up to ``lines`` non-empty lines from the last 16 kB of a log, without what cannot be printed."""
     try:
         with log.open("rb") as file:
             file.seek(0, os.SEEK_END)
             file.seek(max(0, file.tell() - 16384))
             text = file.read().decode("utf-8", errors="replace")
     except OSError:
-        return ""
-    clean = (
-        "".join(c if c.isprintable() else " " for c in line).strip() for line in text.replace("\r", "\n").split("\n")
-    )
-    return " | ".join([line for line in clean if line][-lines:])[-characters:]
+        return []
+    clean = ("".join(c if c.isprintable() else " " for c in line).strip() for line in re.split(r"[\r\n]+", text))
+    return [line for line in clean if line][-lines:]

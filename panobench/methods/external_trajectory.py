@@ -42,7 +42,7 @@ def _read_tum_ns(path: Path) -> Trajectory:
     return Trajectory(times, io.poses_from_rows(table[:, 1:4], table[:, 4:8], path, lines))
 
 
-_READERS: dict[str, Callable[[Path], Trajectory]] = {
+READERS: dict[str, Callable[[Path], Trajectory]] = {
     "tum": io.read_tum,
     "tum-ns": _read_tum_ns,
     "euroc": io.read_euroc_csv,
@@ -58,7 +58,7 @@ def read_answer(path: Path, form: TrajectoryFormat, times: NDArray[np.float64]) 
         raise DatasetError("the program wrote no such file", path)
     if not any(line and not line.startswith("#") for line in _first_lines(path)):
         return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-    found = io.read_kitti(path, times) if form.kind == "kitti" else _READERS[form.kind](path)
+    found = io.read_kitti(path, times) if form.kind == "kitti" else READERS[form.kind](path)
     T = found.T_wc
     if form.inverse:
         T = invert_pose(T)

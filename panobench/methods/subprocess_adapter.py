@@ -16,13 +16,17 @@ from typing import ClassVar
 
 from panobench.datasets.base import Sequence
 from panobench.errors import InputError, MethodError, MethodTimeoutError, UnavailableError, UsageError
+from panobench.methods import external_confine
 from panobench.methods.base import BatchMethod, MethodContext
+from panobench.methods.external_findings import Finding, missing_libraries
 from panobench.methods.external_launch import Place, parse_place
-from panobench.methods.external_process import Finished, clean_environment, log_tail, run_logged
+from panobench.methods.external_process import Finished, clean_environment, last_lines, log_tail, run_logged
 from panobench.methods.external_trajectory import TrajectoryFormat, read_answer
 from panobench.methods.external_watch import guarded_folders, listing, strays
 from panobench.types import Estimate, RunStatus
 
+#: Of the program's log that go into the run's own: the work folder is removed afterwards.
+LOGGED_LINES = 100
 _REFUSED = ("permission denied", "read-only file system", "errno 13", "eacces")
 
 
@@ -118,6 +122,29 @@ class ExternalMethod(BatchMethod):
             reason = f"{cls.title}'s program '{method.command()}' is not on PATH; name it in {cls.variable}_COMMAND"
         return reason
 
+    @classmethod
+    def diagnose(cls) -> list[Finding]:
+        """For `panobench doctor`: what is there and what is not, in the order in which it is needed."""
+        method = cls()
+        try:
+            place = method.place()
+        except UsageError as error:
+            return [Finding(False, "place", str(error), f"set {cls.variable}_RUN_IN to local or one of these")]
+        where = place.kind + (f":{place.target}" if place.target else "")
+        found = [Finding(place.problem() is None, "place", place.problem() or where)]
+        if not found[0].ok:
+            return found
+        program = place.find(method.command())
+        fix = f"name it: export {cls.variable}_COMMAND=/path/to/{cls.program}, or {cls.variable}_RUN_IN=docker:IMAGE"
+        found.append(Finding(program is not None, "program", program or f"'{method.command()}' is not on PATH", fix))
+        if program is not None and place.kind in ("local", "venv"):
+            missing = missing_libraries(Path(program))
+            detail = f"needs {', '.join(missing)}" if missing else "all found"
+            found.append(Finding(not missing, "shared libraries", detail, "install them, or set LD_LIBRARY_PATH"))
+        confined = external_confine.landlock_version() > 0 or place.tool is not None
+        detail = "writes are confined to the work folder" if confined else "no Landlock: strays are found afterwards"
+        return [*found, Finding(True, "confinement", detail)]
+
     def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
         """Prepare, run, read. Raises UnavailableError, UnsupportedError or an ExternalProgramError."""
         reason = self.missing(self.config)
@@ -166,7 +193,9 @@ class ExternalMethod(BatchMethod):
         if outside:
             names = ", ".join(map(str, outside[:3]))
             raise ExternalProgramError(f"{self.title} wrote outside its work folder: {names}", RunStatus.CRASHED, log)
-        context.log(f"{self.title}: exit code {finished.returncode} after {finished.seconds:.1f} s")
+        context.log(f"{self.title}: exit code {finished.returncode} after {finished.seconds:.1f} s; its last lines:")
+        for line in last_lines(log, LOGGED_LINES):
+            context.log(f"| {line}")
         return finished, launch.confined
 
     def _judge(self, job: Job, finished: Finished, confined: bool, log: Path) -> None:

@@ -1,0 +1,159 @@
+"""`panobench import`: score somebody's trajectory, and renders if there are any, as a run that is marked imported.
+
+Exit codes: 0 scored, 1 scored and judged lost, 2 bad input and nothing written.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from panobench.bench.request import RunRequest
+    from panobench.methods.external_imported import ImportOptions
+
+app = typer.Typer()
+
+
+@app.command(name="import")
+def import_run(
+    trajectory: Annotated[Path, typer.Argument(help="The trajectory: TUM, KITTI or EuRoC.")],
+    name: Annotated[str, typer.Option(help="What the row is called: the method, as it is to stand in tables.")],
+    sequence: Annotated[str | None, typer.Option(help="Sequence; default: the first.")] = None,
+    dataset: Annotated[str, typer.Option(help="Dataset; see `panobench list datasets`.")] = "rooms",
+    root: Annotated[str | None, typer.Option(help="Folder or file of the data.")] = None,
+    camera: Annotated[
+        str, typer.Option(help="Camera the method used: MODEL, MODEL:VIEW or a calibration file.")
+    ] = "erp",
+    width: Annotated[int, typer.Option(help="Width of the frames, and of the renders, pixels.")] = 512,
+    fov: Annotated[str | None, typer.Option(help="Field of view in degrees: 120 or 120x60.")] = None,
+    every: Annotated[int, typer.Option(help="The method used each n-th frame.")] = 1,
+    max_frames: Annotated[int | None, typer.Option(help="The method used at most this many frames.")] = None,
+    holdout: Annotated[int, typer.Option(help="The method did not map each n-th frame; 0: none.")] = 0,
+    form: Annotated[str | None, typer.Option("--format", help="tum, tum-ns, kitti or euroc; default: look.")] = None,
+    inverse: Annotated[bool, typer.Option("--inverse", help="The file holds world-to-camera poses.")] = False,
+    time_offset: Annotated[float, typer.Option(help="Seconds added to the trajectory's times.")] = 0.0,
+    max_dt: Annotated[float | None, typer.Option(help="Seconds a pose may be away from its frame.")] = None,
+    metric: Annotated[bool, typer.Option("--metric", help="Its scale is metres: align without scale.")] = False,
+    renders: Annotated[Path | None, typer.Option(help="Folder with a render of each frame that has a pose.")] = None,
+    citation: Annotated[str, typer.Option(help="Where the method is published.")] = "",
+    out: Annotated[Path | None, typer.Option(help="The run folder; default: a new one below runs/.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No summary.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the run's run.json, and nothing else.")] = False,
+) -> None:
+    """Score a trajectory made elsewhere; the row is marked imported."""
+    from panobench.bench.request import RunRequest
+    from panobench.bench.runfolder import RUN_JSON, read_run_json
+    from panobench.cli.run import exit_code, summary
+    from panobench.errors import UsageError
+    from panobench.methods.external_imported import ImportOptions
+
+    if not name.strip() or not name.isprintable() or len(name) > 80:
+        raise UsageError("--name: give one line of up to 80 characters")
+    request = RunRequest(
+        method=name,
+        camera=camera,
+        dataset=dataset,
+        sequence=sequence,
+        root=root,
+        width=width,
+        fov=fov,
+        every=every,
+        max_frames=max_frames,
+        holdout=holdout,
+    )
+    options = ImportOptions(form, inverse, time_offset, max_dt, metric, renders)  # type: ignore[arg-type]
+    folder = score_import(trajectory, request, options, out, force=force, citation=citation)
+    document = read_run_json(folder)
+    if as_json:
+        print((folder / RUN_JSON).read_text(encoding="utf-8"), end="")
+    elif not quiet:
+        print(f"imported: {summary(folder, document)}")
+    code = exit_code(document["status"])
+    if code:
+        typer.echo(f"panobench: {document['status']}: {document['message']}", err=True)
+        raise typer.Exit(code)
+
+
+def score_import(
+    trajectory: Path,
+    request: RunRequest,
+    options: ImportOptions,
+    out: Path | None = None,
+    *,
+    force: bool = False,
+    citation: str = "",
+) -> Path:
+    """Write a run folder for a trajectory file and return it. ``request.method`` is the row's name.
+
+    Raises PanobenchError for a trajectory, renders or a sequence that cannot be used; nothing is written then.
+    """
+    from panobench.bench.document import run_document, write_run
+    from panobench.bench.evaluate import evaluate
+    from panobench.bench.observer import Observer
+    from panobench.bench.opening import Opened, open_input
+    from panobench.bench.provenance import provenance
+    from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
+    from panobench.bench.runner import RunLog, default_folder
+    from panobench.bench.tracking import track_batch
+    from panobench.bench.views import held_out
+    from panobench.methods.base import MethodContext
+    from panobench.methods.external_imported import ImportedTrajectory
+    from panobench.metrics.base import MetricInput
+    from panobench.specs import MethodSpec
+
+    target = out or default_folder(request)
+    check_free(target, force)
+    sequence = open_input(request)
+    holdout = held_out(len(sequence), request.holdout)
+    method = ImportedTrajectory(trajectory, options)
+    spec = MethodSpec(request.method, "imported", "", cameras=(sequence.camera.kind,), citation=citation)
+    opened = Opened(spec, "imported", method, None, sequence, None)
+    tracked = track_batch(method, sequence, frozenset(holdout), MethodContext(), Observer())
+    assert tracked.estimate is not None
+    tracked.latency, tracked.wall_s = [], 0.0
+    pending = PendingRun(target, force)
+    try:
+        with (pending.path / LOG).open("w", encoding="utf-8") as file:
+            log = RunLog(file)
+            log(f"{len(tracked.estimate.trajectory)} poses of {trajectory} belong to {len(sequence)} frames")
+            data = MetricInput(
+                sequence,
+                tracked.estimate,
+                frames=list(range(len(sequence))),
+                holdout=holdout,
+                render=method.render if options.renders else None,
+                renders=pending.path / RENDERS if options.renders else None,
+            )
+            scores = evaluate(data, tracked.status, tracked.message, log)
+            document = run_document(request, opened, tracked, holdout, scores, {}, provenance())
+            write_run(pending.path, _marked(document, trajectory, options), opened, tracked, holdout)
+        return pending.publish()
+    except BaseException:
+        pending.discard()
+        raise
+
+
+def _marked(document: dict[str, Any], trajectory: Path, options: ImportOptions) -> dict[str, Any]:
+    """The document of an imported run: nothing in it was timed here."""
+    import hashlib
+
+    measured = ("evaluation_s",)
+    document["origin"] = "imported"
+    document["timing"] = {k: v if k in measured else None for k, v in document["timing"].items()}
+    document["timing"]["peak_rss_bytes"] = None
+    document["imported"] = {
+        "trajectory": trajectory.name,
+        "sha256": hashlib.sha256(trajectory.read_bytes()).hexdigest(),
+        "format": options.form,
+        "inverse": options.inverse,
+        "time_offset_s": options.time_offset,
+        "renders": None if options.renders is None else options.renders.name,
+    }
+    document["provenance"]["command"] = shlex.join(["panobench", *sys.argv[1:]])
+    return document

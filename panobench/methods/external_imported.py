@@ -1,0 +1,172 @@
+"""Somebody's trajectory, and renders if there are any, in the place of a method: read, matched to frames, never run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets import trajectory_io as io
+from panobench.datasets.base import Sequence
+from panobench.datasets.trajectory_match import match_to_times
+from panobench.errors import InputError, UsageError
+from panobench.geometry import invert_pose
+from panobench.methods.base import BatchMethod, MethodContext
+from panobench.methods.external_trajectory import READERS, Kind
+from panobench.types import Estimate, Trajectory
+
+if TYPE_CHECKING:
+    from panobench.cameras.base import Camera
+    from panobench.cameras.reproject import Reprojector
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """form: "tum", "tum-ns", "kitti", "euroc", or None to tell from the file. inverse: it holds world-to-camera poses.
+
+    time_offset: seconds added to its times. max_dt: seconds between a pose and its frame at most (None: 40% of the
+    smallest interval between frames). metric: its scale is metres.
+    """
+
+    form: Kind | None = None
+    inverse: bool = False
+    time_offset: float = 0.0
+    max_dt: float | None = None
+    metric: bool = False
+    renders: Path | None = None
+
+
+def guess_format(path: Path) -> Kind:
+    """From the first row: 12 numbers KITTI, commas EuRoC, 8 numbers TUM. Raises InputError for anything else."""
+    rows = io.read_rows(path)
+    if not rows:
+        raise InputError("the trajectory has no pose", path)
+    if "," in " ".join(rows[0].fields):
+        return "euroc"
+    if len(rows[0].fields) == 12:
+        return "kitti"
+    if len(rows[0].fields) == 8:
+        try:
+            return "tum-ns" if abs(float(rows[0].fields[0])) > 1e14 else "tum"
+        except ValueError:
+            pass
+    raise InputError(
+        f"neither TUM (8 numbers a row) nor KITTI (12) nor EuRoC (commas): {len(rows[0].fields)} values; "
+        "name the format with --format",
+        path,
+        line=rows[0].line,
+    )
+
+
+def read_imported(path: Path, options: ImportOptions, times: NDArray[np.float64]) -> Trajectory:
+    """The poses that belong to ``times``. Raises InputError when none does, or the file does not parse."""
+    kind = options.form or guess_format(path)
+    if kind not in get_args(Kind):
+        raise UsageError(f"--format {kind}: known are {', '.join(get_args(Kind))}")
+    found = io.read_kitti(path, times) if kind == "kitti" else READERS[kind](path)
+    T = invert_pose(found.T_wc) if options.inverse else found.T_wc
+    moved = Trajectory(found.times + options.time_offset, T)
+    tolerance = options.max_dt
+    if tolerance is None:
+        tolerance = 0.4 * float(np.diff(times).min()) if len(times) > 1 else 1.0
+    matched = match_to_times(moved, times, tolerance)
+    if not len(matched):
+        raise InputError(
+            f"none of its {len(moved)} poses is within {tolerance:.3g} s of a frame: its times are "
+            f"{moved.times[0]:.9g} to {moved.times[-1]:.9g} s, the sequence's {times[0]:.9g} to {times[-1]:.9g} s; "
+            "shift them with --time-offset",
+            path,
+        )
+    return matched
+
+
+@dataclass
+class ImportedTrajectory(BatchMethod):
+    """Answers with a file's poses; ``render`` gives the stored picture of the frame at that pose."""
+
+    path: Path
+    options: ImportOptions = field(default_factory=ImportOptions)
+
+    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+        """Raises InputError for a trajectory or renders that cannot be used."""
+        trajectory = read_imported(self.path, self.options, sequence.times)
+        index = np.searchsorted(sequence.times, trajectory.times).tolist()
+        self._camera = sequence.camera
+        self._poses = trajectory.T_wc
+        self._files = [] if self.options.renders is None else find_renders(self.options.renders, index, sequence)
+        self._cuts: dict[bytes, Reprojector] = {}
+        extra = {"file": self.path.name, "poses_in_frames": len(trajectory), "renders": len(self._files)}
+        return Estimate(trajectory, metric=self.options.metric, extra=extra)
+
+    def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
+        """The render of the frame at the place of ``T_wc``, turned and cut to ``camera``; None elsewhere."""
+        if not self._files:
+            return None
+        distance = np.linalg.norm(self._poses[:, :3, 3] - T_wc[:3, 3], axis=1)
+        near = np.flatnonzero(distance <= 1e-9 * (1 + np.abs(T_wc[:3, 3]).max()))
+        if not len(near):
+            return None
+        # of frames at one place, the one turned least against the view
+        turn = np.einsum("nij,ij->n", self._poses[near, :3, :3], T_wc[:3, :3])
+        k = int(near[int(np.argmax(turn))])
+        image = _read_render(self._files[k], self._camera)
+        R = T_wc[:3, :3].T @ self._poses[k, :3, :3]
+        if (
+            camera.kind == self._camera.kind
+            and camera.width == self._camera.width
+            and np.allclose(R, np.eye(3), atol=1e-9)
+        ):
+            return image
+        return self._cut(camera, R, image)
+
+    def _cut(self, camera: Camera, R: NDArray[np.float64], image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """As the reference views are cut out of the frames, so that both are blurred alike."""
+        from panobench.cameras.reproject import Reprojector
+        from panobench.metrics.perspective import enlarge
+
+        key = np.round(R, 6).tobytes() + f"{camera.to_dict()}".encode()
+        panorama = self._camera.kind == "erp" and bool(self._camera.valid_mask().all())
+        if key not in self._cuts:
+            source = self._camera.scaled(2 * self._camera.width) if panorama else self._camera
+            self._cuts[key] = Reprojector(source, camera, R, antialias=not panorama)
+        source_image = enlarge(image) if panorama else image
+        return np.asarray(np.clip(self._cuts[key].image(source_image), 0, 1), dtype=np.float32)
+
+
+def find_renders(folder: Path, index: list[int], sequence: Sequence) -> list[Path]:
+    """The render of each frame in ``index``: named as the frame, by its number, or as many as there are in order.
+
+    Raises InputError naming the first frame that has none.
+    """
+    if not folder.is_dir():
+        raise InputError("no such folder of renders", folder)
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
+    by_stem = {p.stem: p for p in files}
+    by_number = {int(p.stem): p for p in files if p.stem.isascii() and p.stem.isdigit()}
+    names = {i: Path(sequence.frame_name(i)).stem for i in index}
+    for table in ({i: by_stem.get(names[i]) for i in index}, {i: by_number.get(i) for i in index}):
+        if all(table.values()):
+            return [path for path in table.values() if path is not None]
+    if len(files) in (len(index), len(sequence)):
+        return files if len(files) == len(index) else [files[i] for i in index]
+    missing = next(i for i in index if by_stem.get(names[i]) is None and by_number.get(i) is None)
+    raise InputError(f"no render for frame {missing} ('{names[missing]}'): {len(files)} images, none named so", folder)
+
+
+def _read_render(path: Path, camera: Camera) -> NDArray[np.float32]:
+    """RGB (H, W, 3) in 0..1. Raises InputError if it is no image of the camera's size."""
+    from panobench.datasets.images import read_image
+
+    image = read_image(path)
+    if image.shape != (camera.height, camera.width, 3):
+        raise InputError(
+            f"the render is {image.shape[1]}x{image.shape[0]}, the frames are {camera.width}x{camera.height}; "
+            "render at that size or give another --width",
+            path,
+        )
+    return np.asarray(image / np.float32(255), dtype=np.float32)
