@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.cameras.reproject import Reprojector
 from panobench.errors import UnsupportedError
 from panobench.metrics.alignment import match, world_alignment
 from panobench.metrics.base import MetricInput, Render
 from panobench.metrics.image_quality import psnr, ssim
 from panobench.metrics.lpips import Lpips, find_lpips
+from panobench.metrics.perspective import perspective_views
 
 #: At least this many seen frames are rendered (all, if there are fewer than twice as many).
 SEEN_FRAMES = 20
@@ -27,8 +27,6 @@ SEEN_FRAMES = 20
 HELD_OUT_FRAMES = 100
 #: Frames whose pictures are stored for the report.
 STORED_FRAMES = 8
-#: A view counts when at least this share of it was seen by the camera.
-MIN_SEEN = 0.9
 Image = NDArray[np.float32]
 
 
@@ -124,30 +122,10 @@ class FrameJudge:
         if not self.views:
             yield render, truth, self.valid
             return
-        for reprojector in self.views:
-            picture = self.render(reprojector.target, reprojector.poses(T_wc))
+        for view in self.views:
+            picture = self.render(view.camera, view.pose(T_wc))
             if picture is not None:
-                yield picture, reprojector.image(truth), reprojector.valid
-
-
-def perspective_views(camera: Camera) -> list[Reprojector]:
-    """Reprojectors onto those of the three 120 x 60 degree views that the camera (nearly) wholly sees.
-
-    Their focal length is the camera's resolution in its middle, so that neither side is magnified.
-    """
-    from panobench.cameras.factory import pixels_per_radian
-    from panobench.cameras.views import PAPER_FOV_DEG, paper_views
-
-    width = 2 * np.tan(np.deg2rad(PAPER_FOV_DEG[0]) / 2) * pixels_per_radian(camera)
-    found = []
-    for view in paper_views(max(48, 6 * round(width / 6))):
-        try:
-            reprojector = Reprojector(camera, view.camera, view.R_target_source)
-        except UnsupportedError:
-            continue
-        if reprojector.valid.mean() >= MIN_SEEN:
-            found.append(reprojector)
-    return found
+                yield picture, view.image(truth), view.valid
 
 
 def novel_views(data: MetricInput, judge: FrameJudge, means: Means) -> None:

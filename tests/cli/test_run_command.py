@@ -1,0 +1,155 @@
+"""`panobench run` and `panobench list` as a user meets them: exit codes, one-line errors, JSON, speed of starting."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from panobench.cli.main import run as panobench
+
+pytestmark = pytest.mark.usefixtures("fake_plugin")
+
+
+def words(*extra: str, method: str = "fake-still") -> list[str]:
+    return ["run", "--method", method, "--dataset", "tiny", "--width", "128", *extra]
+
+
+def test_a_run_prints_a_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert panobench(words("--out", str(tmp_path / "r"), "--holdout", "4")) == 0
+    printed = capsys.readouterr()
+    assert printed.out.startswith(f"ok  {tmp_path / 'r'}")
+    assert "12 of 12 frames" in printed.out
+    assert "ATE" in printed.out
+    assert (tmp_path / "r" / "run.json").is_file()
+
+
+def test_json_and_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert panobench(words("--out", str(tmp_path / "r"), "--json")) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["status"] == "ok"
+    assert printed.err == ""
+    assert panobench(words("--out", str(tmp_path / "q"), "--quiet")) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_set_reaches_the_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "r"
+    options = ["--set", "features=7", "--set", "inner.steps=4,5", "--preset", "quick", "--json", "--out", str(out)]
+    assert panobench(words(*options, method="fake-options")) == 0
+    spec = json.loads(capsys.readouterr().out)["spec"]
+    assert spec["config"]["features"] == 7
+    assert spec["config"]["inner"] == {"gain": 0.1, "steps": [4, 5]}
+    assert spec["settings"] == {"features": "7", "inner.steps": "4,5"}
+    assert spec["preset"] == "quick"
+
+
+def test_a_run_that_fails_has_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert panobench(words("--out", str(tmp_path / "r"), "--quiet", method="fake-crash")) == 1
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    assert "crashed: frame 3: ValueError: three is my limit" in printed.err
+    assert (tmp_path / "r" / "run.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["runn"], "unknown command 'runn': did you mean 'run'"),
+        (["run", "--metod", "x"], "--method"),
+        (["run", "--every", "two"], "--every"),
+        (["run", "--set", "x", "--method", "fake-still", "--dataset", "tiny"], "expected KEY=VALUE"),
+        (["run", "--method", "fake-stil", "--dataset", "tiny"], "did you mean 'fake-still'"),
+        (["run", "--method", "fake-still", "--dataset", "tinny"], "did you mean 'tiny'"),
+        (["run", "--method", "fake-still", "--dataset", "tiny", "--sequence", "broken"], "frame 5: the image is"),
+        (["run", "--method", "fake-still", "--dataset", "tiny", "--camera", "pinhole:frnt"], "did you mean 'front'"),
+        (["run", "--method", "fake-still", "--dataset", "tiny", "--fov", "wide"], "field of view"),
+        (["run", "--method", "fake-still", "--dataset", "tiny", "--holdout", "1"], "--holdout 1"),
+        (["list", "metods"], "did you mean 'method'"),
+        (["list", "method", "fake-stil"], "did you mean 'fake-still'"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    arguments: list[str],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert panobench(arguments) == 2
+    printed = capsys.readouterr()
+    assert says in printed.err
+    assert printed.err.startswith("panobench: ")
+    assert printed.err.count("\n") == 1
+    assert printed.out == ""
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    import panobench.cli.list as module
+
+    def broken() -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(module, "registry", broken)
+    with pytest.raises(ZeroDivisionError):
+        panobench(["list"])
+
+
+def test_ctrl_c_keeps_what_was_tracked(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "panobench.cli.main", *words("--out", str(tmp_path / "r"), method="fake-slow")]
+    process = subprocess.Popen(
+        command, env={**os.environ, "FAKE_SLEEP": "0.5"}, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    log = None
+    for _ in range(600):
+        log = next(tmp_path.glob(".r.*.part/log.txt"), None)
+        if log is not None and "still started" in log.read_text():
+            break
+        time.sleep(0.05)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    document = json.loads((tmp_path / "r" / "run.json").read_text())
+    assert document["status"] == "interrupted"
+    assert 1 <= document["frames"]["given"] < 12
+    assert document["frames"]["tracked"] == document["frames"]["given"]
+    assert [p.name for p in tmp_path.iterdir()] == ["r"]
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["list"], ["--version"]])
+def test_starting_does_not_import_heavy_modules(arguments: list[str]) -> None:
+    code = (
+        "import sys; from panobench.cli.main import run; run(sys.argv[1:]);"
+        "print([m for m in ('torch', 'numba', 'numpy', 'cv2', 'scipy', 'evo', 'plotly') if m in sys.modules])"
+    )
+    # without the test plugin: a plugin may import what it likes
+    env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, env=env)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.rstrip().endswith("[]")
+
+
+def test_list_shows_origin_and_whether_it_can_run(capsys: pytest.CaptureFixture[str]) -> None:
+    assert panobench(["list", "--json"]) == 0
+    listing = json.loads(capsys.readouterr().out)
+    methods = {m["name"]: m for m in listing["method"]}
+    assert methods["fake-still"]["origin"] == "panobench-fake 1.5"
+    assert methods["fake-still"]["unavailable"] is None
+    assert "no_such_package" in methods["fake-absent"]["unavailable"]
+    assert {c["name"]: c["origin"] for c in listing["camera"]}["erp"] == "built-in"
+    assert listing["failed_plugins"] == {}
+    assert panobench(["list", "methods"]) == 0
+    printed = capsys.readouterr().out
+    assert "[panobench-fake 1.5]" in printed
+    assert "cannot run here: needs the Python package(s) no_such_package" in printed
+    assert panobench(["list", "method", "fake-options", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["presets"] == {"quick": {"features": 10, "inner": {"gain": 0.1}}}

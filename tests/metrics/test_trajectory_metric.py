@@ -1,0 +1,117 @@
+"""ATE and its kin on trajectories whose error is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from panobench.geometry import Sim3, make_pose, so3_exp, umeyama
+from panobench.metrics.alignment import match, world_alignment
+from panobench.metrics.base import MetricInput
+from panobench.metrics.trajectory import trajectory_metrics
+from panobench.testing import TinySequence
+from panobench.types import Estimate, Trajectory
+
+MOVE = Sim3(1.7, so3_exp([0.3, -1.0, 0.5]), np.array([3.0, -2.0, 1.0]))
+
+
+def measure(estimate: Estimate, sequence: Any) -> tuple[dict[str, Any], dict[str, str]]:
+    data = MetricInput(sequence, estimate, list(range(len(sequence))))
+    return trajectory_metrics(data), data.notes
+
+
+def truth(n: int = 40) -> tuple[TinySequence, Trajectory]:
+    sequence = TinySequence(n=n)
+    groundtruth = sequence.groundtruth
+    assert groundtruth is not None
+    return sequence, groundtruth
+
+
+def test_a_similar_trajectory_has_no_error() -> None:
+    sequence, gt = truth()
+    values, _ = measure(Estimate(Trajectory(gt.times, MOVE.apply_poses(gt.T_wc)), keyframes=[0, 10, 20, 30]), sequence)
+    assert values["ate_rmse_m"] < 1e-12
+    assert values["ate_keyframes_rmse_m"] < 1e-12
+    assert values["ate_rotation_rmse_deg"] < 1e-5
+    assert values["rpe_trans_rmse_m"] < 1e-12
+    assert values["scale"] == pytest.approx(1 / 1.7)
+    assert values["path_length_m"] == pytest.approx(gt.path_length())
+
+
+def test_metric_methods_are_not_rescaled() -> None:
+    sequence, gt = truth()
+    bigger = Sim3(1.1, np.eye(3), np.zeros(3)).apply_poses(gt.T_wc)
+    metric, _ = measure(Estimate(Trajectory(gt.times, bigger), metric=True), sequence)
+    free, _ = measure(Estimate(Trajectory(gt.times, bigger)), sequence)
+    centred = gt.positions - gt.positions.mean(axis=0)
+    # Umeyama without scale can only centre (the rotation stays the identity): the error is 0.1 of the spread
+    assert metric["ate_rmse_m"] == pytest.approx(0.1 * np.sqrt((centred**2).sum(axis=1).mean()), rel=1e-6)
+    assert free["ate_rmse_m"] < 1e-12
+    assert metric["scale"] == 1.0
+
+
+def test_evo_agrees_with_our_own_umeyama_under_noise() -> None:
+    sequence, gt = truth()
+    rng = np.random.default_rng(1)
+    noisy = MOVE.apply_poses(gt.T_wc)
+    noisy[:, :3, 3] += 0.01 * rng.standard_normal((len(gt), 3))
+    moved = umeyama(noisy[:, :3, 3], gt.positions).apply_points(noisy[:, :3, 3])
+    values, _ = measure(Estimate(Trajectory(gt.times, noisy)), sequence)
+    assert values["ate_rmse_m"] == pytest.approx(np.sqrt(((moved - gt.positions) ** 2).sum(axis=1).mean()), rel=1e-9)
+
+
+def test_only_frames_with_both_poses_are_compared() -> None:
+    sequence, gt = truth()
+    poses = gt.T_wc[::3].copy()
+    values, _ = measure(Estimate(Trajectory(gt.times[::3], poses), keyframes=[1, 3, 6, 9, 12]), sequence)
+    assert values["ate_rmse_m"] < 1e-12
+    assert values["ate_keyframes_rmse_m"] < 1e-12  # frame 1 has no pose and is left out
+
+
+def test_a_straight_path_is_aligned() -> None:
+    sequence = TinySequence(n=20, pose=lambda t: make_pose(np.eye(3), [t, 0.0, 0.0]))
+    gt = sequence.groundtruth
+    assert gt is not None
+    values, _ = measure(Estimate(Trajectory(gt.times, MOVE.apply_poses(gt.T_wc))), sequence)
+    assert values["ate_rmse_m"] < 1e-9
+    matched = match(Trajectory(gt.times, MOVE.apply_poses(gt.T_wc)), gt)
+    assert matched is not None
+    back = world_alignment(matched, Estimate(matched.estimate))
+    assert back.apply_poses(MOVE.apply_poses(gt.T_wc)) == pytest.approx(gt.T_wc, abs=1e-9)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_too_few_poses_give_a_note_not_a_number(n: int) -> None:
+    sequence, gt = truth(n)
+    values, notes = measure(Estimate(gt), sequence)
+    assert values.get("ate_rmse_m") is None
+    assert "fewer than three" in notes["ate_rmse_m"]
+
+
+def test_a_camera_that_only_turns_has_no_ate() -> None:
+    from panobench.testing import rotating_pose
+
+    sequence = TinySequence(n=10, pose=rotating_pose)
+    gt = sequence.groundtruth
+    assert gt is not None
+    values, notes = measure(Estimate(gt), sequence)
+    assert values.get("ate_rmse_m") is None
+    assert "does not move" in notes["ate_rmse_m"]
+
+
+def test_no_truth_and_nothing_tracked_are_notes() -> None:
+    sequence, _ = truth(5)
+    values, notes = measure(Estimate(Trajectory(np.zeros(0), np.zeros((0, 4, 4)))), sequence)
+    assert values == {}
+    assert notes["ate_rmse_m"] == "no tracked frame"
+
+
+def test_world_alignment_inverts_a_similarity() -> None:
+    _, gt = truth()
+    matched = match(Trajectory(gt.times, MOVE.apply_poses(gt.T_wc)), gt)
+    assert matched is not None
+    found = world_alignment(matched, Estimate(matched.estimate))
+    assert found.scale == pytest.approx(1 / 1.7)
+    assert found.inverse().apply_poses(gt.T_wc) == pytest.approx(matched.estimate.T_wc, abs=1e-9)
