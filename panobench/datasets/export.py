@@ -23,6 +23,7 @@ from panobench.cameras.factory import CameraChoice
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import Sequence
 from panobench.datasets.checksums import sha256_bytes
+from panobench.datasets.converted import with_valid
 from panobench.datasets.images import encode_depth, encode_image
 from panobench.datasets.writer import SequenceWriter, finished_as
 from panobench.errors import DatasetError
@@ -81,9 +82,7 @@ class Exporter:
 
     def camera(self, k: int) -> Camera:
         """The camera of target ``k`` with the mask of what the source really saw."""
-        target, valid = self.targets[k].choice.camera, self.reprojector(k).valid
-        plain = target.with_mask(None)
-        return plain if np.array_equal(valid, plain.valid_mask()) else plain.with_mask(valid)
+        return with_valid(self.targets[k].choice.camera, self.reprojector(k).valid)
 
     def estimate_bytes(self, k: int) -> int:
         """About how much target ``k`` will take, from one encoded frame."""

@@ -13,40 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from panobench.cameras.base import Camera
-from panobench.cameras.factory import camera_from_dict
+from panobench.cameras.calibration import read_calibration
 from panobench.datasets.base import Dataset, Sequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource
 from panobench.datasets.images import read_mask
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.trajectory_io import check_times, parse_floats, read_rows, read_table, read_tum
 from panobench.datasets.trajectory_match import match_to_times
-from panobench.errors import CalibrationError, DatasetError
+from panobench.errors import DatasetError
 from panobench.types import Imu, Trajectory
 
 #: A ground-truth row belongs to the frame whose time differs by at most this.
 TIME_TOLERANCE_S = 1e-3
-
-
-def read_camera(path: Path) -> Camera:
-    """A camera.yaml as ``SequenceWriter`` writes it. Raises CalibrationError naming the file."""
-    import yaml
-
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise CalibrationError("the camera file is missing", path) from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        line = getattr(getattr(error, "problem_mark", None), "line", None)
-        raise CalibrationError("the file is not YAML", path, line=None if line is None else line + 1) from None
-    if not isinstance(values, dict):
-        raise CalibrationError("expected 'model: ...' and the camera's numbers", path)
-    try:
-        return camera_from_dict(values)
-    except CalibrationError as error:
-        if error.path is not None:
-            raise
-        raise CalibrationError(str(error), path) from None
 
 
 def read_imu_csv(path: Path) -> Imu:
@@ -111,12 +89,12 @@ class Folder(Dataset):
 
 
 def _read(folder: Path, name: str) -> ImageSource:
-    camera = read_camera(folder / "camera.yaml")
+    camera = read_calibration(folder / "camera.yaml")
     frames_path = folder / "frames.csv"
     times, images = _read_frames(frames_path, folder)
     inputs = [folder / "camera.yaml", frames_path]
     mask_path, truth_path, imu_path = folder / "mask.png", folder / "groundtruth.tum", folder / "imu.csv"
-    if mask_path.is_file():
+    if camera.mask is None and mask_path.is_file():
         camera = camera.with_mask(read_mask(mask_path, (camera.width, camera.height)))
     present = {p.name: p for p in (folder / "depth").iterdir()} if (folder / "depth").is_dir() else {}
     depth = {}

@@ -8,24 +8,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.cameras.base import Camera
+from panobench.cameras.calibration import write_calibration
 from panobench.cameras.factory import upright_rotation
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import Sequence
-from panobench.datasets.palvio_calibration import (
-    ANNULUS,
-    OVERRIDE,
-    PalvioCalibration,
-    annulus_mask,
-    built_in_calibration,
-)
+from panobench.datasets.palvio_calibration import OVERRIDE, PalvioCalibration, published_calibration
 from panobench.datasets.writer import explained_disk_errors
 from panobench.errors import UsageError
 from panobench.geometry import invert_pose, make_pose, quat_from_matrix
@@ -33,6 +27,7 @@ from panobench.types import Trajectory
 
 Array = NDArray[np.float64]
 GRAVITY = 9.80665
+CAMERA_FILE = "palvio_camera.yaml"
 
 
 @dataclass(frozen=True)
@@ -84,21 +79,10 @@ def upward_axis(T_wc: Array) -> Array:
     return np.asarray(np.sign(mean[axis]) * np.eye(3)[axis])
 
 
-def scaled_calibration(width: int | None) -> tuple[PalvioCalibration, dict[str, Any]]:
-    """PALVIO's calibration for images of another width, and the values of the palvio.yaml that says so."""
-    from dataclasses import replace
-
-    full = built_in_calibration()
-    if width is None or width == full.camera.width:
-        return full, {}
-    s = width / full.camera.width
-    camera: Camera = full.camera.with_mask(None).scaled(width)
-    centre, r_min, r_max = ANNULUS
-    middle = [(c + 0.5) * s - 0.5 for c in centre]
-    mask = annulus_mask(camera.width, camera.height, middle, r_min * s, r_max * s)
-    ring = {"centre": middle, "r_min": r_min * s, "r_max": r_max * s}
-    values = {"camera": camera.to_dict(), "annulus": ring}
-    return replace(full, camera=camera.with_mask(mask)), values
+def scaled_calibration(width: int | None) -> PalvioCalibration:
+    """PALVIO's calibration for images of another width (None: its own)."""
+    full = published_calibration()
+    return full if width is None else replace(full, camera=full.camera.scaled(width))
 
 
 def write_palvio_bag(
@@ -117,7 +101,7 @@ def write_palvio_bag(
         raise UsageError(f"--out {path}: the file's name must end in .bag")
     if path.exists():
         raise UsageError(f"{path} exists already; remove it or choose another --out")
-    calibration, values = scaled_calibration(options.width)
+    calibration = scaled_calibration(options.width)
     motion, frames, up = _plan(sequence, options, calibration)
     partial = path.with_name(path.name + ".partial")
     with explained_disk_errors(path):
@@ -125,10 +109,9 @@ def write_palvio_bag(
         partial.unlink(missing_ok=True)
         try:
             _write(partial, sequence, frames, motion, up, calibration, options, progress)
-            if values:
-                import yaml
-
-                (path.parent / OVERRIDE).write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+            if calibration.camera.width != published_calibration().camera.width:
+                write_calibration(calibration.camera, path.parent / CAMERA_FILE)
+                (path.parent / OVERRIDE).write_text(f"camera: {CAMERA_FILE}\n", encoding="utf-8")
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)

