@@ -164,7 +164,8 @@ def _sphere(mu: Tensor, sigma: Tensor, dist: Tensor, camera: Any, low_pass: floa
 
     A ray meets the tangent plane at r / (m.r), so D = r / (m.r) - m is the 3-vector e1 d1 + e2 d2 whatever
     the basis. With P = I - m m^T the covariance there is C = P Sigma P / dist^2 + low_pass pix^2 P, singular
-    along m only; (C + k m m^T)^-1 gives the same q = D^T C^+ D for every k > 0, and no basis is needed.
+    along m only; (C + k m m^T)^-1 gives the same q = D^T C^+ D for every k > 0, and no basis is needed. With
+    L L^T that inverse, q = |L^T D|^2.
     """
     m = mu / dist[:, None]
     mm = m[:, :, None] * m[:, None, :]
@@ -172,14 +173,15 @@ def _sphere(mu: Tensor, sigma: Tensor, dist: Tensor, camera: Any, low_pass: floa
     pix = _pixel_angle(camera)
     C = P @ sigma @ P / (dist * dist)[:, None, None] + low_pass * pix * pix * P
     k = 0.5 * C.diagonal(dim1=1, dim2=2).sum(dim=1).detach()
-    Q = torch.linalg.inv(C + k[:, None, None] * mm)
+    L = torch.linalg.cholesky(torch.linalg.inv(C + k[:, None, None] * mm))
+    offset = torch.einsum("ni,nij->nj", m, L)
 
     def exponent(rays: Tensor, pixels: Tensor) -> Tensor:
+        rays = torch.nan_to_num(rays)
         cosine = rays @ m.T
-        inside = cosine > MIN_COSINE  # False for NaN rays
+        inside = cosine > MIN_COSINE
         safe = torch.where(inside, cosine, torch.ones_like(cosine))
-        D = torch.nan_to_num(rays)[:, None, :] / safe[:, :, None] - m
-        q = torch.einsum("pni,nij,pnj->pn", D, Q, D)
+        q = sum((((rays @ L[:, :, j].T) / safe - offset[:, j]).square() for j in range(3)), torch.zeros_like(safe))
         return torch.where(inside, q, torch.full_like(q, torch.inf))
 
     return exponent
