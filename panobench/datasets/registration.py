@@ -36,4 +36,10 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "/vicon/pal/pal), or extracted ID01/images/<nanoseconds>.png with optional groundtruth.tum "
         "(body poses) and imu.csv",
     ),
+    DatasetSpec(
+        "rooms",
+        "built-in furnished rooms, ray cast with exact poses and depth",
+        "panobench.datasets.rooms.dataset:RoomsDataset",
+        needs_root=False,
+    ),
 )

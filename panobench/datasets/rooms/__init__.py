@@ -1,0 +1,1 @@
+"""Built-in furnished rooms, ray cast with exact poses and depth."""

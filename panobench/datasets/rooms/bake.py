@@ -1,0 +1,350 @@
+"""Bakes light into the nodes: area lights and sun with soft shadows, then diffuse interreflection.
+
+Per node, in units of irradiance / pi: direct light by stratified points on every light with shadow rays; what bounces
+by cosine-weighted rays whose hits are kept, so that further bounces are look-ups only. Nodes that sit inside an object
+(most rays meet back sides) take their neighbours' light.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from panobench.datasets.rooms.scene import Geometry, Surfaces
+from panobench.datasets.rooms.trace import trace as trace_ray
+
+LIGHT_SAMPLES = 4  # squared: points per light
+BOUNCE_RAYS = 8  # squared: rays per node
+BOUNCES = 4
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _hash(a: int, b: int) -> float:
+    """Uniform number in 0..1 of two integers (a small integer hash)."""
+    x = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(b) * np.uint64(0xC2B2AE3D27D4EB4F)
+    x ^= x >> np.uint64(29)
+    x *= np.uint64(0xBF58476D1CE4E5B9)
+    x ^= x >> np.uint64(32)
+    return float(x >> np.uint64(11)) / 9007199254740992.0
+
+
+@njit(nogil=True, cache=True)
+def _gather(
+    first: int,
+    last: int,
+    pos: Any,
+    normal: Any,
+    two: Any,
+    boxes: Any,
+    links: Any,
+    planes: Any,
+    shape: Any,
+    glowing: Any,
+    light_p: Any,
+    light_u: Any,
+    light_v: Any,
+    light_r: Any,
+    sun_dir: Any,
+    sun_rad: Any,
+    grid: int,
+    rays: int,
+    direct: Any,
+    hit: Any,
+    hit_u: Any,
+    hit_v: Any,
+    inside: Any,
+) -> None:
+    stack = np.empty(128, np.int32)
+    for i in range(first, last):
+        n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
+        # Any tangent basis (Duff et al. 2017).
+        s = 1.0 if n2 >= 0 else -1.0
+        a = -1.0 / (s + n2)
+        b = n0 * n1 * a
+        t0, t1, t2 = 1.0 + s * n0 * n0 * a, s * b, -s * n0
+        c0, c1, c2 = b, s + n1 * n1 * a, -n1
+        px, py, pz = pos[i, 0] + 2e-3 * n0, pos[i, 1] + 2e-3 * n1, pos[i, 2] + 2e-3 * n2
+        for side in range(2 if two[i] else 1):
+            flip = 1.0 - 2.0 * side
+            weight = 0.5 if two[i] else 1.0
+            ox, oy, oz = (
+                px - (4e-3 * n0) * side,
+                py - (4e-3 * n1) * side,
+                pz - (4e-3 * n2) * side,
+            )
+            for k in range(light_p.shape[0]):
+                l0 = light_u[k, 1] * light_v[k, 2] - light_u[k, 2] * light_v[k, 1]
+                l1 = light_u[k, 2] * light_v[k, 0] - light_u[k, 0] * light_v[k, 2]
+                l2 = light_u[k, 0] * light_v[k, 1] - light_u[k, 1] * light_v[k, 0]
+                total = 0.0
+                for j in range(grid * grid):
+                    fu = (j % grid + _hash(i, 4096 * k + 2 * j + side)) / grid
+                    fv = (j // grid + _hash(i + 77, 4096 * k + 2 * j + side)) / grid
+                    dx = light_p[k, 0] + fu * light_u[k, 0] + fv * light_v[k, 0] - ox
+                    dy = light_p[k, 1] + fu * light_u[k, 1] + fv * light_v[k, 1] - oy
+                    dz = light_p[k, 2] + fu * light_u[k, 2] + fv * light_v[k, 2] - oz
+                    r2 = dx * dx + dy * dy + dz * dz
+                    r = np.sqrt(r2)
+                    cos_here = flip * (dx * n0 + dy * n1 + dz * n2) / r
+                    cos_there = -(dx * l0 + dy * l1 + dz * l2) / r  # times the light's area
+                    if cos_here <= 0 or cos_there <= 0:
+                        continue
+                    w, _, _, _ = trace_ray(
+                        boxes,
+                        links,
+                        planes,
+                        shape,
+                        ox,
+                        oy,
+                        oz,
+                        dx / r,
+                        dy / r,
+                        dz / r,
+                        r - 2e-3,
+                        True,
+                        stack,
+                    )
+                    if w < 0:
+                        total += cos_here * cos_there / max(r2, 0.01)
+                total *= weight / (np.pi * grid * grid)
+                for m in range(3):
+                    direct[i, m] += total * light_r[k, m]
+            cos_sun = flip * (sun_dir[0] * n0 + sun_dir[1] * n1 + sun_dir[2] * n2)
+            if sun_rad[0] > 0 and cos_sun > 0:
+                lit = 0.0
+                for j in range(4):
+                    e0, e1, e2 = (
+                        _hash(i, 90000 + 3 * j) - 0.5,
+                        _hash(i, 90001 + 3 * j) - 0.5,
+                        _hash(i, 90002 + 3 * j) - 0.5,
+                    )
+                    dx, dy, dz = (
+                        sun_dir[0] + 0.02 * e0,
+                        sun_dir[1] + 0.02 * e1,
+                        sun_dir[2] + 0.02 * e2,
+                    )
+                    r = np.sqrt(dx * dx + dy * dy + dz * dz)
+                    w, _, _, _ = trace_ray(
+                        boxes,
+                        links,
+                        planes,
+                        shape,
+                        ox,
+                        oy,
+                        oz,
+                        dx / r,
+                        dy / r,
+                        dz / r,
+                        1e3,
+                        False,
+                        stack,
+                    )
+                    if w < 0 or glowing[w] == 2:
+                        lit += 0.25
+                for m in range(3):
+                    direct[i, m] += weight * lit * cos_sun * sun_rad[m]
+        back, near_back = 0, 0
+        for j in range(rays * rays):
+            x1 = (j % rays + _hash(i, 500000 + j)) / rays
+            x2 = (j // rays + _hash(i, 600000 + j)) / rays
+            rad, ang = np.sqrt(x1), 2 * np.pi * x2
+            ca, sa, cz = rad * np.cos(ang), rad * np.sin(ang), np.sqrt(max(0.0, 1 - x1))
+            flip = -1.0 if (two[i] and j % 2 == 1) else 1.0
+            dx = ca * t0 + sa * c0 + flip * cz * n0
+            dy = ca * t1 + sa * c1 + flip * cz * n1
+            dz = ca * t2 + sa * c2 + flip * cz * n2
+            off = 0.0 if flip > 0 else 4e-3
+            w, dist, u, v = trace_ray(
+                boxes,
+                links,
+                planes,
+                shape,
+                px - off * n0,
+                py - off * n1,
+                pz - off * n2,
+                dx,
+                dy,
+                dz,
+                1e3,
+                False,
+                stack,
+            )
+            hit[i, j] = w
+            hit_u[i, j], hit_v[i, j] = u, v
+            if w >= 0 and planes[w, 0] * dx + planes[w, 1] * dy + planes[w, 2] * dz > 0 and glowing[w] != 3:
+                hit[i, j] = -1
+                back += 1
+                near_back += dist < 0.5
+        inside[i] = near_back > 0.4 * rays * rays
+
+
+@njit(nogil=True, cache=True, inline="always")
+def node_light(look: Any, light: Any, i: int, u: float, v: float, m: int) -> float:
+    """Light of channel m interpolated between the nodes of primitive i at (u, v)."""
+    if look[i, 2] == 1:
+        return light[look[i, 3], m] * (1 - u - v) + light[look[i, 4], m] * u + light[look[i, 5], m] * v
+    base, nu, nv = look[i, 3], look[i, 4], look[i, 5]
+    x, y = min(max(u, 0.0), 1.0) * (nu - 1), min(max(v, 0.0), 1.0) * (nv - 1)
+    x0, y0 = min(int(x), nu - 2), min(int(y), nv - 2)
+    fx, fy = x - x0, y - y0
+    k = base + y0 * nu + x0
+    a = light[k, m] * (1 - fx) + light[k + 1, m] * fx
+    b = light[k + nu, m] * (1 - fx) + light[k + nu + 1, m] * fx
+    return a * (1 - fy) + b * fy
+
+
+@njit(nogil=True, cache=True)
+def _bounce(
+    first: int,
+    last: int,
+    hit: Any,
+    hit_u: Any,
+    hit_v: Any,
+    order: Any,
+    look: Any,
+    albedo: Any,
+    light: Any,
+    out: Any,
+) -> None:
+    n = hit.shape[1]
+    for i in range(first, last):
+        s0, s1, s2 = 0.0, 0.0, 0.0
+        for j in range(n):
+            if hit[i, j] < 0:
+                continue
+            p = order[hit[i, j]]
+            s0 += albedo[p, 0] * node_light(look, light, p, hit_u[i, j], hit_v[i, j], 0)
+            s1 += albedo[p, 1] * node_light(look, light, p, hit_u[i, j], hit_v[i, j], 1)
+            s2 += albedo[p, 2] * node_light(look, light, p, hit_u[i, j], hit_v[i, j], 2)
+        out[i, 0], out[i, 1], out[i, 2] = s0 / n, s1 / n, s2 / n
+
+
+@njit(nogil=True, cache=True)
+def _mend(base: int, nu: int, nv: int, inside: Any, light: Any, rounds: int) -> None:
+    """Nodes inside objects take the mean of their lit neighbours in the grid, from outside in."""
+    done = np.empty(nu * nv, np.bool_)
+    for k in range(nu * nv):
+        done[k] = not inside[base + k]
+    for _ in range(rounds):
+        again = done.copy()
+        for y in range(nv):
+            for x in range(nu):
+                k = y * nu + x
+                if done[k]:
+                    continue
+                s0, s1, s2, n = 0.0, 0.0, 0.0, 0
+                for dy in range(-1, 2):
+                    for dx in range(-1, 2):
+                        if 0 <= x + dx < nu and 0 <= y + dy < nv and done[k + dy * nu + dx]:
+                            q = base + k + dy * nu + dx
+                            s0, s1, s2, n = (
+                                s0 + light[q, 0],
+                                s1 + light[q, 1],
+                                s2 + light[q, 2],
+                                n + 1,
+                            )
+                if n > 0:
+                    light[base + k, 0], light[base + k, 1], light[base + k, 2] = (
+                        s0 / n,
+                        s1 / n,
+                        s2 / n,
+                    )
+                    again[k] = True
+        done = again
+
+
+@njit(nogil=True, cache=True)
+def _smooth(base: int, nu: int, nv: int, light: Any) -> None:
+    """One binomial pass over a grid: takes the sampling noise out of indirect light."""
+    tmp = light[base : base + nu * nv].copy()
+    for m in range(3):
+        for y in range(nv):
+            for x in range(nu):
+                s, w = 0.0, 0.0
+                for dy in range(-1, 2):
+                    for dx in range(-1, 2):
+                        if 0 <= x + dx < nu and 0 <= y + dy < nv:
+                            f = (2 - abs(dx)) * (2 - abs(dy))
+                            s += f * tmp[(y + dy) * nu + x + dx, m]
+                            w += f
+                light[base + y * nu + x, m] = s / w
+
+
+def bake(geometry: Geometry, surfaces: Surfaces, threads: int) -> NDArray[np.float32]:
+    """Light (M, 3) at the nodes, irradiance / pi, linear RGB, before exposure."""
+    mesh = geometry.mesh
+    m = len(mesh.node_pos)
+    n_rays = BOUNCE_RAYS**2
+    direct = np.zeros((m, 3))
+    hit = np.full((m, n_rays), -1, dtype=np.int32)
+    hit_u, hit_v = np.zeros((m, n_rays), np.float32), np.zeros((m, n_rays), np.float32)
+    inside = np.zeros(m, dtype=np.bool_)
+    lights = mesh.lights
+    pack = [np.array([getattr(L, key) for L in lights]).reshape(-1, 3) for key in ("p0", "eu", "ev", "radiance")]
+    sun_dir, sun_rad = mesh.sun if mesh.sun is not None else (np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    # 1: emits (its back side counts as nothing); 2: the outdoors, the sun shines through; 3: two-sided.
+    glow = surfaces.glow.any(axis=1)
+    outdoors = np.array([mat.texture.startswith("outdoors") for mat in mesh.materials])[mesh.material]
+    kind = np.where(outdoors, 2, np.where(mesh.two_sided, 3, glow.astype(np.int32))).astype(np.int32)
+    order = geometry.order
+    step = max(1, min(2048, m // (4 * threads) + 1))
+    spans = [(a, min(a + step, m)) for a in range(0, m, step)]
+
+    def gather(span: tuple[int, int]) -> None:
+        _gather(
+            span[0],
+            span[1],
+            mesh.node_pos,
+            mesh.node_normal,
+            mesh.node_two,
+            geometry.boxes,
+            geometry.links,
+            geometry.planes,
+            geometry.tree_shape,
+            kind[order],
+            pack[0],
+            pack[1],
+            pack[2],
+            pack[3],
+            sun_dir,
+            sun_rad,
+            LIGHT_SAMPLES,
+            BOUNCE_RAYS,
+            direct,
+            hit,
+            hit_u,
+            hit_v,
+            inside,
+        )
+
+    grids = np.unique(mesh.nodes[mesh.shape != 1], axis=0)
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(gather, spans))
+        for base, nu, nv in grids:
+            if inside[base : base + nu * nv].any():
+                _mend(base, nu, nv, inside, direct, 12)
+        light = direct.copy()
+        for _ in range(BOUNCES):
+            indirect = np.zeros_like(direct)
+            args = (
+                hit,
+                hit_u,
+                hit_v,
+                order,
+                surfaces.look,
+                surfaces.albedo,
+                light,
+                indirect,
+            )
+            list(pool.map(lambda s, a=args: _bounce(s[0], s[1], *a), spans))
+            for base, nu, nv in grids:
+                if inside[base : base + nu * nv].any():
+                    _mend(base, nu, nv, inside, indirect, 12)
+                if nu > 3 and nv > 3:
+                    _smooth(base, nu, nv, indirect)
+            light = direct + indirect
+    return light.astype(np.float32)

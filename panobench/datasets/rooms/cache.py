@@ -1,0 +1,77 @@
+"""Rendered rooms on disk: keyed by everything they depend on, whole or not there, shared by concurrent processes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+#: Raised when the pictures change on purpose; part of every provenance record.
+GENERATOR_VERSION = 1
+
+
+def cache_root() -> Path:
+    """``$PANOBENCH_CACHE``, else ``$XDG_CACHE_HOME/panobench``, else ``~/.cache/panobench``."""
+    own = os.environ.get("PANOBENCH_CACHE")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "panobench"
+
+
+@lru_cache(maxsize=1)
+def source_digest() -> str:
+    """Digest of the generator's own source, so that a changed generator never serves stale pictures."""
+    digest = hashlib.sha256(str(GENERATOR_VERSION).encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def key_of(values: dict[str, Any]) -> str:
+    """Short digest of plain values and the generator's source."""
+    text = json.dumps(values, sort_keys=True, default=str) + source_digest()
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold an advisory lock on ``path`` where the platform has one. Work stays correct without: see ``publish``."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "ab") as handle:
+        try:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        except (ImportError, OSError):
+            pass
+        yield
+
+
+def publish(folder: Path, fill: Callable[[Path], None]) -> None:
+    """Make ``folder`` by ``fill(temporary folder)`` and a rename; if it is there already, nothing happens.
+
+    Two processes at once: the lock makes the second wait, and without locks the loser's copy is dropped.
+    """
+    if folder.is_dir():
+        return
+    with locked(folder.with_name(folder.name + ".lock")):
+        if folder.is_dir():
+            return
+        temporary = folder.with_name(f".{folder.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
+        temporary.mkdir(parents=True)
+        try:
+            fill(temporary)
+            try:
+                os.rename(temporary, folder)
+            except OSError:
+                if not folder.is_dir():
+                    raise
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)

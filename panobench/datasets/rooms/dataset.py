@@ -1,0 +1,181 @@
+"""The built-in rooms as a dataset: rendered on first use, then read from the cache."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.cameras.erp import ErpCamera
+from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.rooms import cache
+from panobench.datasets.rooms.kinds import KINDS
+from panobench.datasets.rooms.options import RoomOptions, parse_name
+from panobench.datasets.rooms.produce import Studio
+from panobench.datasets.rooms.world import World
+from panobench.errors import DatasetError, UnknownNameError
+from panobench.types import NovelView, Trajectory
+
+DEFAULT_WIDTH = 512
+CHUNK = 20  # frames rendered together on first use
+
+Progress = Callable[[int, int], None]
+
+
+class RoomSequence(Sequence):
+    """One room seen by one camera. Images come from the cache, which is filled in chunks as frames are asked for."""
+
+    dataset = "rooms"
+
+    def __init__(
+        self,
+        name: str,
+        kind: str,
+        camera: Camera,
+        options: RoomOptions,
+        progress: Progress | None,
+    ) -> None:
+        self.name, self.kind, self.camera, self.options = name, kind, camera, options
+        self._progress = progress
+        self._world = World(kind, options.seed, options.frames)
+        self.times = np.arange(self._world.frames) / self._world.kind.motion.rate
+        values = {
+            **self._world.key(),
+            "options": options.to_dict(),
+            "camera": camera.to_dict(),
+        }
+        if camera.mask is not None:
+            values["mask"] = np.packbits(camera.mask).tobytes().hex()
+        self._key = cache.key_of(values)
+        self._folder = cache.cache_root() / "rooms" / f"{kind}-{options.seed}-{camera.kind}{camera.width}-{self._key}"
+        self._studio_made: Studio | None = None
+
+    @property
+    def _studio(self) -> Studio:
+        if self._studio_made is None:
+            self._studio_made = Studio(self._world, self.camera, self.options)
+        return self._studio_made
+
+    def _chunk(self, index: int) -> Path:
+        """The folder that holds frame ``index``, rendered now if need be."""
+        first = index // CHUNK * CHUNK
+        folder = self._folder / f"{first:06d}"
+        if not folder.is_dir():
+            last = min(first + CHUNK, len(self))
+            cache.publish(folder, lambda to: self._studio.render_frames(first, last, to))
+            if self._progress:
+                self._progress(last, len(self))
+        return folder
+
+    def prepare(self, last: int | None = None) -> None:
+        """Render frames 0..last (default: all) now, with a progress bar on a terminal."""
+        n = len(self) if last is None else min(last, len(self))
+        missing = [i for i in range(0, n, CHUNK) if not (self._folder / f"{i:06d}").is_dir()]
+        if not missing:
+            return
+        if self._progress is None and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import track
+
+            bar = track(
+                missing,
+                f"rendering rooms/{self.name}",
+                console=Console(stderr=True),
+                transient=True,
+            )
+        else:
+            bar = missing
+        for i in bar:
+            self._chunk(i)
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        import cv2
+
+        index = self._checked(index)
+        path = self._chunk(index) / f"{self.frame_name(index)}.png"
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if image is None or image.shape[:2] != (self.camera.height, self.camera.width):
+            raise DatasetError("cached frame is damaged; delete the folder it is in", path, frame=index)
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        """Exact radial depth of the pixel centres, cast anew; NaN outside the camera's view and on an occluder."""
+        return self._studio.depth(self._checked(index))
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        return Trajectory(self.times, self._studio.T_wc)
+
+    def novel_views(self) -> list[NovelView]:
+        """Eight poses off the trajectory, without noise or the options' troubles."""
+        import cv2
+
+        folder = self._folder / "novel"
+        cache.publish(folder, self._studio.render_novel)
+        views = []
+        for k, T in enumerate(self._studio.T_novel):
+            image = cv2.imread(str(folder / f"{k:03d}.png"), cv2.IMREAD_COLOR)
+            if image is None:
+                raise DatasetError(
+                    "cached view is damaged; delete the folder it is in",
+                    folder,
+                    frame=k,
+                )
+            views.append(NovelView(f"{k:03d}", np.asarray(image[..., ::-1]).copy(), self.camera, T))
+        return views
+
+    def provenance(self) -> dict[str, Any]:
+        return {
+            "generator": "panobench rooms",
+            "generator_version": cache.GENERATOR_VERSION,
+            "room": self.kind,
+            "summary": self._world.kind.summary,
+            "frames": len(self),
+            "options": self.options.to_dict(),
+            "camera": self.camera.to_dict(),
+            "key": self._key,
+        }
+
+    def _checked(self, index: int) -> int:
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        return index % len(self)
+
+
+class RoomsDataset(Dataset):
+    """Built-in rooms; ``root`` is ignored."""
+
+    name: ClassVar[str] = "rooms"
+
+    def sequences(self) -> list[str]:
+        return list(KINDS)
+
+    def open(
+        self,
+        sequence: str | None = None,
+        *,
+        width: int | None = None,
+        camera: Camera | None = None,
+        options: RoomOptions | None = None,
+        progress: Progress | None = None,
+    ) -> RoomSequence:
+        """Open e.g. "room1", "room3@7" (seed 7) or "room1+blur2+noise0.03" (see ``RoomOptions``).
+
+        camera: any model (default: a full ERP of ``width``, 512). progress(done, total) is called after every
+        chunk rendered. Raises UnknownNameError and UsageError for names and options there are none of.
+        """
+        name = sequence or "room1"
+        kind, chosen = parse_name(name, options)
+        if kind not in KINDS:
+            raise UnknownNameError("sequence of dataset 'rooms'", kind, KINDS)
+        if camera is None:
+            w = width or DEFAULT_WIDTH
+            camera = ErpCamera(w, w // 2)
+        elif width is not None and width != camera.width:
+            camera = camera.scaled(width)
+        return RoomSequence(name, kind, camera, chosen, progress)

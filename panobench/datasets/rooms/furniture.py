@@ -1,0 +1,447 @@
+"""Furniture against or away from walls. Local frame: back at y = 0, front +y, x centred, on the floor z = 0."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from panobench.datasets.rooms.fixtures import BLACK, BRASS, CABLE, STEEL
+from panobench.datasets.rooms.mesh import LEAF, Builder, Material
+
+
+def legs(
+    b: Builder,
+    w: float,
+    d: float,
+    h: float,
+    t: float,
+    m: Material,
+    y0: float = 0.0,
+    inset: float = 0.0,
+) -> None:
+    """Four square legs under a w x d top."""
+    for x in (-w / 2 + inset, w / 2 - t - inset):
+        for y in (y0 + inset, y0 + d - t - inset):
+            b.box((x, y, 0), (x + t, y + t, h), m, skip="zZ")
+
+
+def table(b: Builder, w: float, d: float, h: float, m: Material, t: float = 0.035) -> None:
+    """Top, apron and legs; spans y 0..d."""
+    b.box((-w / 2, 0, h - t), (w / 2, d, h), m, grain=0)
+    legs(b, w, d, h - t, 0.06, m, inset=0.03)
+    a = 0.07
+    b.box((-w / 2 + 0.05, 0.05, h - t - a), (w / 2 - 0.05, 0.07, h - t), m, skip="Z")
+    b.box(
+        (-w / 2 + 0.05, d - 0.07, h - t - a),
+        (w / 2 - 0.05, d - 0.05, h - t),
+        m,
+        skip="Z",
+    )
+
+
+def chair(b: Builder, wood: Material, seat: Material) -> None:
+    """A dining chair whose front faces +y; seat centred at y = 0.22."""
+    w, d, h = 0.44, 0.44, 0.45
+    for x in (-w / 2, w / 2 - 0.035):
+        b.box((x, d - 0.035, 0), (x + 0.035, d, h), wood, skip="zZ")
+        b.box((x, 0, 0), (x + 0.035, 0.035, 0.92), wood, skip="z")
+    b.blob(
+        (0, d / 2, h + 0.015),
+        (w / 2 + 0.01, d / 2 + 0.01, 0.035),
+        seat,
+        square=0.35,
+        rows=6,
+        sides=20,
+    )
+    for z in (0.6, 0.72, 0.84):
+        b.box(
+            (-w / 2 + 0.035, 0.008, z),
+            (w / 2 - 0.035, 0.026, z + 0.055),
+            wood,
+            skip="xX",
+        )
+    for x in (-w / 2 + 0.008, w / 2 - 0.026):
+        b.box((x, 0.035, 0.2), (x + 0.018, d - 0.035, 0.23), wood, skip="yY")
+
+
+def office_chair(b: Builder, cover: Material) -> None:
+    """A swivel chair facing +y."""
+    for k in range(5):
+        a = 2 * np.pi * k / 5 + 0.3
+        c, s = np.cos(a), np.sin(a)
+        b.tube([(0, 0.25, 0.1), (0.28 * c, 0.25 + 0.28 * s, 0.06)], 0.02, BLACK, thin=False)
+        b.blob(
+            (0.3 * c, 0.25 + 0.3 * s, 0.03),
+            (0.025, 0.025, 0.03),
+            BLACK,
+            square=1.0,
+            rows=5,
+            sides=8,
+        )
+    b.cylinder((0, 0.25, 0.08), 0.025, 0.34, STEEL, caps="")
+    b.blob((0, 0.25, 0.47), (0.25, 0.25, 0.055), cover, square=0.4, rows=7, sides=20)
+    with b.at(0, 0.0, 0.86):
+        b.blob((0, 0, 0), (0.22, 0.045, 0.28), cover, square=0.45, rows=9, sides=20)
+    b.tube([(0, 0.2, 0.44), (0, -0.06, 0.5), (0, -0.06, 0.75)], 0.018, BLACK, thin=False)
+    for x in (-0.28, 0.28):
+        b.tube([(x * 0.8, 0.25, 0.45), (x, 0.25, 0.5), (x, 0.22, 0.66)], 0.014, BLACK)
+        b.box((x - 0.03, 0.1, 0.66), (x + 0.03, 0.36, 0.685), BLACK)
+
+
+def books(
+    b: Builder,
+    x0: float,
+    x1: float,
+    y: float,
+    z: float,
+    room: float,
+    depth: float = 0.2,
+) -> None:
+    """A row of upright books on a board at height z, fronts near y, filling x0..x1 more or less."""
+    r = b.rng
+    x = x0 + 0.01
+    stop = x1 - (r.uniform(0.02, 0.3) * (x1 - x0) if r.uniform() < 0.5 else 0.02)
+    while x < stop - 0.05:
+        t, h = r.uniform(0.018, 0.055), min(room - 0.02, r.uniform(0.17, 0.3))
+        d = depth * r.uniform(0.75, 1.0)
+        if r.uniform() < 0.06:
+            x += r.uniform(0.03, 0.1)
+            continue
+        tint = tuple(float(v) for v in r.uniform(0.55, 1.15, 3))
+        k = int(r.integers(8))
+        spine = Material(f"spines#{int(r.integers(4))}", 0.0, tint=tint)  # type: ignore[arg-type]
+        _spine(b, x, t, y, z, h, spine, k)
+        cover = Material("", tint=(0.3 * tint[0], 0.3 * tint[1], 0.33 * tint[2]))
+        page = Material("", tint=(0.72, 0.68, 0.58))
+        b.quad((x, y, z), (0, 0, h), (0, -d, 0), cover, spacing=1)  # towards -x
+        b.quad((x + t, y, z), (0, -d, 0), (0, 0, h), cover, spacing=1)
+        b.quad((x, y - d, z + h), (t, 0, 0), (0, d, 0), page, spacing=1)
+        x += t + 0.001
+
+
+def _spine(b: Builder, x: float, t: float, y: float, z: float, h: float, m: Material, k: int) -> None:
+    b.quad((x + t, y, z), (-t, 0, 0), (0, 0, h), m, spacing=1)
+    b._uv[-1] = [(k + 0.02) / 8, 0.96 / 8, 0.0, 1.0, 0.0, -1.0]
+
+
+def bookshelf(
+    b: Builder,
+    w: float,
+    h: float,
+    m: Material,
+    shelves: int = 5,
+    d: float = 0.28,
+    fill: float = 0.85,
+) -> None:
+    """Open shelves with books, boxes and small things."""
+    t = 0.025
+    b.box((-w / 2, 0, 0), (-w / 2 + t, d, h), m, skip="z")
+    b.box((w / 2 - t, 0, 0), (w / 2, d, h), m, skip="z")
+    b.quad((w / 2 - t, 0.012, 0), (2 * t - w, 0, 0), (0, 0, h), m, turn=True)
+    pitch = (h - 0.08) / shelves
+    for k in range(shelves + 1):
+        z = 0.06 + k * pitch
+        b.box((-w / 2 + t, 0.012, z - t), (w / 2 - t, d - 0.005, z), m, skip="xXy")
+        if k == shelves:
+            break
+        u = b.rng.uniform()
+        if u < fill:
+            books(b, -w / 2 + t, w / 2 - t, d - b.rng.uniform(0.02, 0.06), z, pitch - t)
+        else:
+            for x in np.arange(-w / 2 + 0.16, w / 2 - 0.12, 0.24):
+                knick_knack(b, x, d / 2, z)
+
+
+def knick_knack(b: Builder, x: float, y: float, z: float) -> None:
+    """Something small: a vase, a box, a ball, a mug."""
+    r = b.rng
+    c = r.uniform(40, 225, 3).astype(int)
+    m = Material(f"smooth:{c[0]},{c[1]},{c[2]}", 0.6)
+    kind = r.integers(4)
+    with b.at(x, y, z, r.uniform(0, 6.28)):
+        if kind == 0:
+            k = r.uniform(0.8, 1.3)
+            prof = [
+                (0.03, 0.0),
+                (0.05, 0.03),
+                (0.062, 0.08),
+                (0.05, 0.13),
+                (0.025, 0.17),
+                (0.03, 0.2),
+            ]
+            b.lathe([(rr * k, zz * k) for rr, zz in prof], m, sides=14)
+        elif kind == 1:
+            s = r.uniform(0.05, 0.11, 3)
+            b.box((-s[0] / 2, -s[1] / 2, 0), (s[0] / 2, s[1] / 2, s[2]), m, skip="z")
+        elif kind == 2:
+            q = r.uniform(0.035, 0.06)
+            b.blob((0, 0, q), (q, q, q), m, square=1.0, rows=8, sides=12)
+        else:
+            b.lathe([(0.038, 0.0), (0.04, 0.095)], m, sides=12)
+            b.disc((0, 0, 0.085), 0.038, Material("", tint=(0.08, 0.04, 0.02)))
+            b.tube(
+                [(0.04, 0, 0.08), (0.068, 0, 0.07), (0.068, 0, 0.03), (0.04, 0, 0.02)],
+                0.006,
+                m,
+            )
+
+
+def cabinet(
+    b: Builder,
+    w: float,
+    h: float,
+    d: float,
+    m: Material,
+    doors: int = 3,
+    things: bool = True,
+) -> None:
+    """A sideboard with doors, knobs and short legs."""
+    b.box((-w / 2, 0, 0.1), (w / 2, d, h), m, skip="y", grain=0)
+    legs(b, w, d, 0.1, 0.05, m, inset=0.02)
+    dw = (w - 0.04) / doors
+    for k in range(doors):
+        x0 = -w / 2 + 0.02 + k * dw
+        b.box(
+            (x0 + 0.008, d, 0.13),
+            (x0 + dw - 0.008, d + 0.016, h - 0.05),
+            m,
+            skip="y",
+            grain=2,
+        )
+        b.blob(
+            (x0 + (0.06 if k % 2 else dw - 0.06), d + 0.035, h * 0.55),
+            (0.014, 0.02, 0.014),
+            BRASS,
+            square=1.0,
+            rows=5,
+            sides=8,
+        )
+    if things:
+        for x in np.arange(-w / 2 + 0.2, w / 2 - 0.1, 0.35):
+            if b.rng.uniform() < 0.75:
+                knick_knack(b, x, d / 2, h)
+
+
+def desk(b: Builder, w: float, d: float, m: Material, lamp: bool = True) -> None:
+    """A desk with drawers, screen, keyboard, papers, lamp and hanging cables."""
+    h = 0.74
+    b.box((-w / 2, 0, h - 0.03), (w / 2, d, h), m, grain=0)
+    b.box(
+        (w / 2 - 0.42, 0.03, 0.02),
+        (w / 2 - 0.02, d - 0.04, h - 0.03),
+        m,
+        skip="zZ",
+        grain=0,
+    )
+    for k in range(3):
+        z = 0.05 + 0.22 * k
+        b.box(
+            (w / 2 - 0.41, d - 0.04, z),
+            (w / 2 - 0.03, d - 0.025, z + 0.21),
+            m,
+            skip="y",
+            grain=0,
+        )
+        b.box(
+            (w / 2 - 0.28, d - 0.025, z + 0.13),
+            (w / 2 - 0.16, d - 0.012, z + 0.145),
+            STEEL,
+            skip="y",
+        )
+    for y in (0.03, d - 0.08):
+        b.box((-w / 2 + 0.03, y, 0), (-w / 2 + 0.08, y + 0.05, h - 0.03), m, skip="zZ")
+    b.box(
+        (-w / 2 + 0.08, 0.04, 0.35),
+        (w / 2 - 0.42, 0.055, h - 0.03),
+        m,
+        skip="Z",
+        grain=0,
+    )
+    # Screen and what hangs off it.
+    b.box((-0.3, 0.18, h + 0.12), (0.3, 0.21, h + 0.48), BLACK)
+    b.quad(
+        (0.285, 0.211, h + 0.135),
+        (-0.57, 0, 0),
+        (0, 0, 0.33),
+        Material("screen", 0.0, emission=(0.9, 0.9, 0.95)),
+    )
+    b.box((-0.03, 0.16, h), (0.03, 0.18, h + 0.3), BLACK)
+    b.box((-0.12, 0.1, h), (0.12, 0.28, h + 0.012), BLACK)
+    b.box(
+        (-0.22, 0.38, h),
+        (0.22, 0.52, h + 0.018),
+        Material("check:70,70,74", 0.24),
+        skip="z",
+    )
+    b.blob((0.31, 0.45, h + 0.012), (0.03, 0.05, 0.02), BLACK, square=0.8, rows=6, sides=10)
+    s = np.linspace(0, 1, 9)
+    for x0, x1 in ((0.05, 0.22), (-0.06, -0.3)):
+        sag = 0.5 * s + 0.25 * np.sin(np.pi * s)
+        b.tube(
+            np.stack(
+                [x0 + (x1 - x0) * s, 0.1 - 0.08 * s, h + 0.2 - sag * (h + 0.15)],
+                axis=-1,
+            ),
+            0.004,
+            CABLE,
+            sides=5,
+        )
+    for k in range(3):
+        with b.at(
+            -w / 2 + 0.2 + 0.06 * k,
+            d * 0.55 + 0.05 * k,
+            h + 0.002 + 0.003 * k,
+            b.rng.uniform(-0.5, 0.5),
+        ):
+            b.quad(
+                (-0.1, -0.14, 0),
+                (0.21, 0, 0),
+                (0, 0.297, 0),
+                Material(f"poster#{k}", 0.0),
+            )
+    knick_knack(b, w / 2 - 0.15, d * 0.6, h)
+    if lamp:
+        with b.at(-w / 2 + 0.16, 0.14, h):
+            desk_lamp(b)
+
+
+def desk_lamp(b: Builder) -> None:
+    """A jointed lamp on a round foot."""
+    b.cylinder((0, 0, 0), 0.08, 0.02, BLACK)
+    b.tube([(0, 0, 0.02), (-0.05, -0.02, 0.24)], 0.008, STEEL)
+    b.tube([(-0.05, -0.02, 0.24), (0.1, 0.1, 0.42)], 0.008, STEEL)
+    with b.at(0.12, 0.12, 0.36):
+        b.lathe([(0.075, 0.0), (0.05, 0.06), (0.02, 0.09)], BLACK, sides=14)
+        b.disc((0, 0, 0.004), 0.07, Material("", emission=(3, 2.7, 2.2)), up=False)
+
+
+def sofa(b: Builder, w: float, cover: Material, cushions: list[Material]) -> None:
+    """Seats, arms, back and loose cushions; 0.9 m deep."""
+    d = 0.88
+    with b.at(0, 0.05):
+        b.box((-w / 2 + 0.05, 0.05, 0.1), (w / 2 - 0.05, d - 0.04, 0.3), cover, skip="zZ")
+        for x in (-w / 2 + 0.1, w / 2 - 0.1):
+            b.blob(
+                (x, d / 2, 0.34),
+                (0.11, d / 2, 0.25),
+                cover,
+                square=0.35,
+                rows=9,
+                sides=24,
+            )
+        n = max(1, round((w - 0.4) / 0.75))
+        sw = (w - 0.42) / n
+        for k in range(n):
+            x = -w / 2 + 0.21 + sw * (k + 0.5)
+            b.blob(
+                (x, 0.52, 0.36),
+                (sw / 2 + 0.004, 0.34, 0.1),
+                cover,
+                square=0.32,
+                rows=8,
+                sides=28,
+                dent=0.02,
+            )
+            b.blob(
+                (x, 0.17, 0.62),
+                (sw / 2 + 0.004, 0.13, 0.27),
+                cover,
+                square=0.36,
+                rows=10,
+                sides=28,
+                dent=0.03,
+            )
+        legs(b, w - 0.1, d - 0.1, 0.1, 0.05, BLACK, y0=0.05)
+        for m in cushions:
+            x = b.rng.uniform(-w / 2 + 0.4, w / 2 - 0.4)
+            with b.at(x, 0.37, 0.6, b.rng.uniform(-0.25, 0.25)):
+                b.blob(
+                    (0, 0, 0),
+                    (0.21, 0.085, 0.2),
+                    m,
+                    square=0.55,
+                    rows=9,
+                    sides=20,
+                    dent=0.02,
+                )
+
+
+def plant(b: Builder, size: float = 1.0) -> None:
+    """A pot with arching leaves."""
+    r = b.rng
+    pot = Material("smooth:176,92,58" if r.uniform() < 0.6 else "smooth:210,208,200", 0.8)
+    k = size
+    b.lathe(
+        [
+            (0.11 * k, 0.0),
+            (0.15 * k, 0.24 * k),
+            (0.165 * k, 0.24 * k),
+            (0.165 * k, 0.29 * k),
+            (0.14 * k, 0.29 * k),
+        ],
+        pot,
+        sides=18,
+    )
+    b.disc((0, 0, 0.27 * k), 0.145 * k, Material("carpet:64,48,36", 1.0))
+    green = Material("leaf", 0.0)
+    for _ in range(int(r.integers(14, 22))):
+        a, reach, rise = (
+            r.uniform(0, 2 * np.pi),
+            r.uniform(0.12, 0.34) * k,
+            r.uniform(0.3, 0.75) * k,
+        )
+        base = np.array([0.03 * np.cos(a), 0.03 * np.sin(a), 0.27 * k])
+        out = np.array([np.cos(a), np.sin(a), 0.0])
+        mid = base + out * reach * 0.45 + [0, 0, rise]
+        tip = base + out * reach * 1.5 + [0, 0, rise * r.uniform(0.55, 0.95)]
+        b.tube(
+            [base, (base + mid) / 2 + [0, 0, 0.04 * k], mid],
+            0.004 * k,
+            Material("", tint=(0.06, 0.13, 0.04)),
+            sides=4,
+        )
+        side = np.cross(out, [0, 0, 1.0]) * r.uniform(0.09, 0.15) * k
+        shade = r.uniform(0.7, 1.2)
+        b.quad(
+            mid - side / 2,
+            tip - mid,
+            side,
+            green.tinted(shade, shade, shade),
+            shape=LEAF,
+            two_sided=True,
+            thin=True,
+            spacing=0.2,
+        )
+
+
+def floor_lamp(b: Builder, shade: Material, power: float = 5.0) -> None:
+    """A standing lamp with a lit fabric shade."""
+    b.cylinder((0, 0, 0), 0.14, 0.025, BLACK)
+    b.tube([(0, 0, 0.02), (0, 0, 1.45)], 0.011, STEEL)
+    with b.at(0, 0, 1.4):
+        glow = 0.42 * power
+        lit = Material(shade.texture, shade.scale, emission=(glow, glow * 0.8, glow * 0.52))
+        b.lathe([(0.2, 0.0), (0.14, 0.27)], lit, sides=20)
+        b.lathe(
+            [(0.135, 0.265), (0.195, 0.005)],
+            Material("", emission=(power, power * 0.85, power * 0.6)),
+            sides=20,
+        )
+        for sign in (1, -1):
+            s = 0.2
+            p = np.array([power * 1.3, power * 1.05, power * 0.7])
+            if sign > 0:
+                b.rect_light((-s / 2, -s / 2, -0.01), (0, s, 0), (s, 0, 0), p)
+            else:
+                b.rect_light((-s / 2, -s / 2, 0.28), (s, 0, 0), (0, s, 0), p)
+
+
+def rug(b: Builder, w: float, d: float, name: str) -> None:
+    """A flat rug centred at the origin, w along x."""
+    h = 0.012
+    b.box(
+        (-w / 2, -d / 2, 0),
+        (w / 2, d / 2, h),
+        Material("carpet:120,100,80", 1.0),
+        skip="zZ",
+    )
+    b.quad((-w / 2, -d / 2, h), (w, 0, 0), (0, d, 0), Material(name, 0.0), spacing=0.05)

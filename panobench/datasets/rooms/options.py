@@ -1,0 +1,96 @@
+"""What can be varied about a room sequence, and the names users type for it: ``room1@7+blur2+noise0.03``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from panobench.errors import UnknownNameError, UsageError
+
+
+@dataclass(frozen=True)
+class RoomOptions:
+    """Variations of a room sequence; the defaults are the plain sequence.
+
+    seed:      another room of the same kind: layout, colours, textures and path. "@7" in a name.
+    frames:    length of the sequence; None: the room's own. "+frames300".
+    noise:     standard deviation of the sensor noise, in units of full scale. "+noise0.03".
+    blur:      motion blur: median length of the streaks in pixels. "+blur2".
+    exposure:  the camera's gain changes in two smooth steps by this many stops, down then up. "+exposure" (0.7).
+    rolling:   amplitude in stops of an exposure that keeps swinging, slanted over the rows. "+rolling" (0.5).
+    occluder:  share of the sphere hidden by a dark thing that moves before the camera. "+occluder" (0.25).
+    black:     number of black frames, starting at the middle of the sequence. "+black" (20).
+    """
+
+    seed: int = 0
+    frames: int | None = None
+    noise: float = 0.9 / 255
+    blur: float = 0.0
+    exposure: float = 0.0
+    rolling: float = 0.0
+    occluder: float = 0.0
+    black: int = 0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("seed", 0, 2**31 - 1),
+            ("noise", 0.0, 0.5),
+            ("blur", 0.0, 32.0),
+            ("exposure", -3.0, 3.0),
+            ("rolling", 0.0, 3.0),
+            ("occluder", 0.0, 0.9),
+            ("black", 0, 100000),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise UsageError(f"room option {name}={value}: must be between {low} and {high}")
+        if self.frames is not None and not 2 <= self.frames <= 100000:
+            raise UsageError(f"room option frames={self.frames}: must be between 2 and 100000")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for provenance and cache keys."""
+        return asdict(self)
+
+
+#: What a variant without a number means.
+_BARE = {
+    "blur": 2.0,
+    "exposure": 0.7,
+    "rolling": 0.5,
+    "occluder": 0.25,
+    "black": 20,
+    "noise": 0.03,
+}
+_WHOLE = {"black", "frames"}
+VARIANTS = ("black", "blur", "exposure", "frames", "noise", "occluder", "rolling")
+
+
+def parse_name(name: str, base: RoomOptions | None = None) -> tuple[str, RoomOptions]:
+    """ "room1@7+blur2" -> ("room1", options); what the name says wins over ``base``.
+
+    Raises UnknownNameError for a variant there is none of, UsageError for a number that does not parse or fit.
+    """
+    head, *parts = name.split("+")
+    kind, at, seed = head.partition("@")
+    values: dict[str, Any] = {}
+    if at:
+        if not seed.isdigit():
+            raise UsageError(f"room sequence '{name}': '@{seed}' is not a seed; write for example {kind}@7")
+        values["seed"] = int(seed)
+    for part in parts:
+        match = re.fullmatch(r"([a-z]+)([-0-9.eE]*)", part)
+        word = match.group(1) if match else part
+        if word not in VARIANTS:
+            raise UnknownNameError("room variant", word, VARIANTS)
+        number = match.group(2) if match else ""
+        if not number and word not in _BARE:
+            raise UsageError(f"room sequence '{name}': '+{word}' needs a number")
+        try:
+            value = float(number) if number else float(_BARE[word])
+        except ValueError:
+            raise UsageError(f"room sequence '{name}': '+{part}' does not end in a number") from None
+        if word in _WHOLE and value != int(value):
+            raise UsageError(f"room sequence '{name}': '+{part}' needs a whole number")
+        values[word] = int(value) if word in _WHOLE else value
+    return kind, replace(base or RoomOptions(), **values)

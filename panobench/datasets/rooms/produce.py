@@ -1,0 +1,136 @@
+"""Turns a world, a camera and options into image files: several frames at a time, one thread each."""
+
+from __future__ import annotations
+
+import json
+import math
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.cameras.factory import upright_rotation
+from panobench.datasets.rooms import effects, render
+from panobench.datasets.rooms.options import RoomOptions
+from panobench.datasets.rooms.world import World
+from panobench.geometry import make_pose
+
+Array = NDArray[np.float64]
+
+
+class Studio:
+    """Renders the frames of one sequence."""
+
+    def __init__(self, world: World, camera: Camera, options: RoomOptions) -> None:
+        self.world, self.camera, self.options = world, camera, options
+
+    @cached_property
+    def _mount(self) -> Array:
+        """Axes of the camera in those of an upright one (a PAL lens looks up)."""
+        return make_pose(upright_rotation(self.camera), np.zeros(3))
+
+    @cached_property
+    def T_wc(self) -> Array:
+        """(N, 4, 4) poses of the frames."""
+        return np.asarray(self.world.path.T_wc @ self._mount)
+
+    @cached_property
+    def T_novel(self) -> Array:
+        """(8, 4, 4) poses of the novel views."""
+        return np.asarray(self.world.path.novel @ self._mount)
+
+    @cached_property
+    def _bundle(self) -> render.RayBundle:
+        return render.ray_bundle(self.camera)
+
+    @cached_property
+    def _gains(self) -> Array:
+        return self.world.path.exposure * effects.gains(self.options, len(self.T_wc))
+
+    @cached_property
+    def _shutter(self) -> float:
+        """Share of a frame time the shutter is open so that the median streak is ``blur`` pixels long."""
+        n = len(self.T_wc)
+        some = np.linspace(0, n - 2, 6).astype(int)
+        flows = []
+        for i in some:
+            d = render.depth(self.world.geometry, self._bundle, self.T_wc[i])
+            flows.append(effects.median_flow(self.camera, d, self.T_wc[i], self.T_wc[i + 1]))
+        return float(min(1.0, self.options.blur / max(float(np.median(flows)), 1e-6)))
+
+    def depth(self, index: int) -> NDArray[np.float32]:
+        """Exact radial depth (H, W) of a frame."""
+        if effects.is_black(self.options, index, len(self.T_wc)):
+            pass  # the geometry is still there
+        d = render.depth(self.world.geometry, self._bundle, self.T_wc[index])
+        hidden = effects.occluder(self.options, index, self._bundle.exact)
+        if hidden is not None:
+            d[hidden[0] > 0] = np.nan
+        return d
+
+    def frame(self, index: int) -> NDArray[np.uint8]:
+        """One frame with all its troubles."""
+        o = self.options
+        gain = float(self._gains[index])
+        if effects.is_black(o, index, len(self.T_wc)):
+            linear = np.zeros(self._bundle.rays.shape, dtype=np.float32)
+        elif o.blur > 0:
+            count = max(3, math.ceil(2 * o.blur))
+            poses = effects.shutter_poses(self.T_wc, index, self._shutter, count)
+            linear = np.zeros(self._bundle.rays.shape, dtype=np.float32)
+            for T in poses:
+                linear += render.radiance(self.world.scene, self._bundle, T, gain=gain, sub=2)
+            linear /= count
+        else:
+            linear = render.radiance(self.world.scene, self._bundle, self.T_wc[index], gain=gain)
+        slant = effects.row_gain(o, index, self.camera.height)
+        if slant is not None:
+            linear = linear * slant
+        hidden = effects.occluder(o, index, self._bundle.exact)
+        if hidden is not None:
+            opacity = hidden[0][..., None]
+            linear = linear * (1 - opacity) + hidden[1] * opacity
+        return render.to_image(linear, sigma=o.noise, seed=(o.seed * 1_000_003 + index * 7919 + 17))
+
+    def render_frames(self, first: int, last: int, to: Path) -> None:
+        """Write frames first..last-1 as PNG files named by index."""
+        _ = (
+            self.world.scene,
+            self._bundle,
+            self._gains,
+            self.T_wc,
+        )  # made once, before the threads
+        if self.options.blur > 0:
+            _ = self._shutter
+        with ThreadPoolExecutor(render.worker_count()) as pool:
+            list(
+                pool.map(
+                    lambda i: _write(to / f"{i:06d}.png", self.frame(i)),
+                    range(first, last),
+                )
+            )
+        (to / "about.json").write_text(json.dumps({"room": self.world.key(), "options": self.options.to_dict()}))
+
+    def render_novel(self, to: Path) -> None:
+        """Write the novel views as PNG files."""
+        scene, gain = self.world.scene, self.world.path.exposure
+
+        def one(k: int) -> None:
+            _write(
+                to / f"{k:03d}.png",
+                render.to_image(render.radiance(scene, self._bundle, self.T_novel[k], gain=gain)),
+            )
+
+        _ = self._bundle
+        with ThreadPoolExecutor(render.worker_count()) as pool:
+            list(pool.map(one, range(len(self.T_novel))))
+
+
+def _write(path: Path, image: NDArray[np.uint8]) -> None:
+    import cv2
+
+    if not cv2.imwrite(str(path), image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+        raise OSError(f"cannot write {path}")

@@ -1,0 +1,109 @@
+"""Frames and depth of a scene for any camera."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.datasets.rooms import shading, visibility
+from panobench.datasets.rooms.scene import Geometry, Scene
+
+SUB = 4  # visibility samples per pixel side
+
+
+def worker_count() -> int:
+    """Threads to render with: the processors this process may use, at most 8."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(usable, 8))
+
+
+@dataclass(frozen=True)
+class RayBundle:
+    """A camera's rays for the kernels: centre rays, derivatives per pixel (H, W, 3) float32 and the tiles' cones."""
+
+    rays: NDArray[np.float32]
+    exact: NDArray[np.float64]
+    ray_x: NDArray[np.float32]
+    ray_y: NDArray[np.float32]
+    coarse: NDArray[np.float64]
+    fine: NDArray[np.float64]
+
+
+def ray_bundle(camera: Camera) -> RayBundle:
+    """Rays of all pixels of ``camera``; pixels without a ray or hidden by its mask get zeros."""
+    valid = camera.valid_mask()
+    exact = np.where(valid[..., None], camera.rays(), 0.0)
+    grid = camera.pixel_grid()
+    diff = []
+    for axis in range(2):
+        step = np.zeros(2)
+        step[axis] = 0.25
+        a, b = camera.unproject(grid - step), camera.unproject(grid + step)
+        d = (b - a) * 2
+        one_sided = np.where(np.isfinite(b), b - exact, exact - a) * 4
+        d = np.where(np.isfinite(d), d, np.nan_to_num(one_sided))
+        diff.append(np.where(valid[..., None], d, 0.0))
+    spread = 0.75 * np.maximum(np.linalg.norm(diff[0], axis=-1), np.linalg.norm(diff[1], axis=-1))
+    exact = np.ascontiguousarray(exact, dtype=np.float64)
+    return RayBundle(
+        rays=exact.astype(np.float32),
+        exact=exact,
+        ray_x=np.ascontiguousarray(diff[0], dtype=np.float32),
+        ray_y=np.ascontiguousarray(diff[1], dtype=np.float32),
+        coarse=visibility.tile_cones(exact, spread, visibility.COARSE_W, visibility.COARSE_H),
+        fine=visibility.tile_cones(exact, spread, visibility.FINE_W, visibility.FINE_H),
+    )
+
+
+def radiance(
+    scene: Scene,
+    bundle: RayBundle,
+    T_wc: NDArray[np.float64],
+    *,
+    gain: float = 1.0,
+    sub: int = SUB,
+) -> NDArray[np.float32]:
+    """Display-linear RGB (H, W, 3), 0..1 (after the tone curve, before gamma)."""
+    g, s = scene.geometry, scene.surfaces
+    m = g.mesh
+    out = np.zeros(bundle.rays.shape, dtype=np.float32)
+    shading.render_frame(
+        np.ascontiguousarray(T_wc[:3, :3]), np.ascontiguousarray(T_wc[:3, 3]),
+        bundle.rays, bundle.ray_x, bundle.ray_y, bundle.coarse, bundle.fine, sub, gain,
+        m.p0, g.dual_u, g.dual_v, g.normal, m.two_sided, m.shape, m.group,
+        s.look, s.uv, s.tint, s.coat, s.macro, s.glow, s.atlas.texels, s.atlas.table, s.light,
+        g.boxes, g.links, g.planes, g.tree_shape, g.order, out,
+    )  # fmt: skip
+    return out
+
+
+def to_image(
+    linear: NDArray[np.float32],
+    *,
+    scale: float = 1.0,
+    sigma: float = 0.0,
+    seed: int = 0,
+) -> NDArray[np.uint8]:
+    """Gamma-encode display-linear RGB, add sensor noise, quantise."""
+    out = np.empty(linear.shape, dtype=np.uint8)
+    shading.encode(linear, scale, sigma, np.random.default_rng(seed), out)
+    return out
+
+
+def depth(g: Geometry, bundle: RayBundle, T_wc: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Exact radial depth (H, W) of the pixel centres, metres; NaN where nothing is seen."""
+
+    m = g.mesh
+    R, c = np.ascontiguousarray(T_wc[:3, :3]), np.ascontiguousarray(T_wc[:3, 3])
+    f = np.empty((len(m.p0), 9), dtype=np.float32)
+    index = np.empty(len(m.p0), dtype=np.int32)
+    count = visibility.edge_functions(m.p0, g.dual_u, g.dual_v, g.normal, m.two_sided, R, c, f, index)
+    who = np.full(bundle.rays.shape[:2], -1, dtype=np.int32)
+    visibility.cast_centres(f, count, index, m.shape, bundle.rays, bundle.coarse, bundle.fine, who)
+    out = np.empty(who.shape, dtype=np.float32)
+    visibility.plane_depth(m.p0, g.normal, who, bundle.exact, R, c, out)
+    return out

@@ -1,0 +1,231 @@
+"""Single rays through a bounding volume hierarchy: for baking light, mirrors and clearances."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LEAF_SIZE = 4
+
+
+@njit(nogil=True, cache=True)
+def build_bvh(lo: Any, hi: Any) -> tuple[Any, Any, Any]:
+    """Binned surface-area-heuristic tree over boxes lo, hi (N, 3).
+
+    Returns boxes (K, 6) float32, links (K, 2) int32 - (first child, 0) or (first primitive, count) - and the order.
+    """
+    n = lo.shape[0]
+    order = np.arange(n)
+    boxes = np.empty((2 * n + 1, 6), np.float32)
+    links = np.empty((2 * n + 1, 2), np.int32)
+    stack = [(0, 0, n)]
+    used = 1
+    bins = 16
+    while len(stack) > 0:
+        node, a, b = stack.pop()
+        bl, bh = np.full(3, 1e30), np.full(3, -1e30)
+        cl, ch = np.full(3, 1e30), np.full(3, -1e30)
+        for j in range(a, b):
+            i = order[j]
+            for k in range(3):
+                bl[k], bh[k] = min(bl[k], lo[i, k]), max(bh[k], hi[i, k])
+                c = 0.5 * (lo[i, k] + hi[i, k])
+                cl[k], ch[k] = min(cl[k], c), max(ch[k], c)
+        for k in range(3):
+            boxes[node, k] = bl[k] - 1e-5
+            boxes[node, 3 + k] = bh[k] + 1e-5
+        best_cost, best_axis, best_bin = 1e30, -1, 0
+        if b - a > LEAF_SIZE:
+            for axis in range(3):
+                width = ch[axis] - cl[axis]
+                if width < 1e-9:
+                    continue
+                counts = np.zeros(bins, np.int64)
+                binlo, binhi = np.full((bins, 3), 1e30), np.full((bins, 3), -1e30)
+                for j in range(a, b):
+                    i = order[j]
+                    k = min(
+                        bins - 1,
+                        int((0.5 * (lo[i, axis] + hi[i, axis]) - cl[axis]) / width * bins),
+                    )
+                    counts[k] += 1
+                    for m in range(3):
+                        binlo[k, m], binhi[k, m] = (
+                            min(binlo[k, m], lo[i, m]),
+                            max(binhi[k, m], hi[i, m]),
+                        )
+                right = np.zeros(bins)
+                al, ah = np.full(3, 1e30), np.full(3, -1e30)
+                total = 0
+                for k in range(bins - 1, 0, -1):
+                    total += counts[k]
+                    for m in range(3):
+                        al[m], ah[m] = min(al[m], binlo[k, m]), max(ah[m], binhi[k, m])
+                    d = np.maximum(ah - al, 0.0)
+                    right[k] = total * (d[0] * d[1] + d[1] * d[2] + d[2] * d[0])
+                al, ah = np.full(3, 1e30), np.full(3, -1e30)
+                total = 0
+                for k in range(bins - 1):
+                    total += counts[k]
+                    for m in range(3):
+                        al[m], ah[m] = min(al[m], binlo[k, m]), max(ah[m], binhi[k, m])
+                    if total == 0 or total == b - a:
+                        continue
+                    d = np.maximum(ah - al, 0.0)
+                    cost = total * (d[0] * d[1] + d[1] * d[2] + d[2] * d[0]) + right[k + 1]
+                    if cost < best_cost:
+                        best_cost, best_axis, best_bin = cost, axis, k
+        if best_axis < 0:
+            links[node, 0], links[node, 1] = a, b - a
+            continue
+        width = ch[best_axis] - cl[best_axis]
+        i, j = a, b - 1
+        while i <= j:
+            p = order[i]
+            k = min(
+                bins - 1,
+                int((0.5 * (lo[p, best_axis] + hi[p, best_axis]) - cl[best_axis]) / width * bins),
+            )
+            if k <= best_bin:
+                i += 1
+            else:
+                order[i], order[j] = order[j], order[i]
+                j -= 1
+        links[node, 0], links[node, 1] = used, 0
+        stack.append((used, a, i))
+        stack.append((used + 1, i, b))
+        used += 2
+    return boxes[:used].copy(), links[:used].copy(), order
+
+
+@njit(nogil=True, cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"})
+def trace(
+    boxes: Any,
+    links: Any,
+    planes: Any,
+    shape: Any,
+    ox: float,
+    oy: float,
+    oz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    far: float,
+    any_hit: bool,
+    stack: Any,
+) -> tuple[int, float, float, float]:
+    """Nearest (or any) hit within ``far``: (row of ``planes`` or -1, distance, u, v).
+
+    ``planes`` (N, 12) float32 in tree order: normal and its offset, dual u and offset, dual v and offset.
+    """
+    tiny = 1e-12
+    ix = 1.0 / (dx if abs(dx) > tiny else tiny)
+    iy = 1.0 / (dy if abs(dy) > tiny else tiny)
+    iz = 1.0 / (dz if abs(dz) > tiny else tiny)
+    best, who, bu, bv = far, -1, 0.0, 0.0
+    top = 0
+    stack[0] = 0
+    while top >= 0:
+        node = stack[top]
+        top -= 1
+        ax, bx = (boxes[node, 0] - ox) * ix, (boxes[node, 3] - ox) * ix
+        ay, by = (boxes[node, 1] - oy) * iy, (boxes[node, 4] - oy) * iy
+        az, bz = (boxes[node, 2] - oz) * iz, (boxes[node, 5] - oz) * iz
+        near = max(max(min(ax, bx), min(ay, by)), max(min(az, bz), 0.0))
+        last = min(min(max(ax, bx), max(ay, by)), min(max(az, bz), best))
+        if near > last:
+            continue
+        first, count = links[node, 0], links[node, 1]
+        if count == 0:
+            # The nearer child last on the stack, judged by the centres along the ray.
+            c0 = (
+                (boxes[first, 0] + boxes[first, 3]) * dx
+                + (boxes[first, 1] + boxes[first, 4]) * dy
+                + (boxes[first, 2] + boxes[first, 5]) * dz
+            )
+            g = first + 1
+            c1 = (boxes[g, 0] + boxes[g, 3]) * dx + (boxes[g, 1] + boxes[g, 4]) * dy + (boxes[g, 2] + boxes[g, 5]) * dz
+            stack[top + 1] = g if c0 < c1 else first
+            stack[top + 2] = first if c0 < c1 else g
+            top += 2
+            continue
+        for i in range(first, first + count):
+            den = planes[i, 0] * dx + planes[i, 1] * dy + planes[i, 2] * dz
+            t = (planes[i, 3] - (planes[i, 0] * ox + planes[i, 1] * oy + planes[i, 2] * oz)) / (
+                den if abs(den) > tiny else tiny
+            )
+            if t <= 1e-4 or t >= best:
+                continue
+            x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
+            u = planes[i, 4] * x + planes[i, 5] * y + planes[i, 6] * z - planes[i, 7]
+            v = planes[i, 8] * x + planes[i, 9] * y + planes[i, 10] * z - planes[i, 11]
+            if u < 0.0 or v < 0.0 or u > 1.0 or v > 1.0:
+                continue
+            s = shape[i]
+            if s == 1 and u + v > 1.0:
+                continue
+            if s == 2 and (u - 0.5) * (u - 0.5) + (v - 0.5) * (v - 0.5) > 0.25:
+                continue
+            if s == 3 and abs(v - 0.5) > 2.0 * u * (1.0 - u):
+                continue
+            best, who, bu, bv = t, i, u, v
+            if any_hit:
+                return who, best, bu, bv
+    return who, best, bu, bv
+
+
+def plane_rows(p0: NDArray, normal: NDArray, dual_u: NDArray, dual_v: NDArray) -> NDArray[np.float32]:
+    """The (N, 12) rows ``trace`` takes."""
+    cols = []
+    for vectors in (normal, dual_u, dual_v):
+        cols += [vectors, np.sum(vectors * p0, axis=1, keepdims=True)]
+    return np.ascontiguousarray(np.concatenate(cols, axis=1), dtype=np.float32)
+
+
+@njit(nogil=True, cache=True)
+def clearances(p0: Any, eu: Any, ev: Any, points: Any) -> Any:
+    """Lower bound of the distance (M,) from each point to the primitives, metres (discs and leaves as rectangles)."""
+    out = np.full(points.shape[0], 1e30)
+    for i in range(p0.shape[0]):
+        aa = eu[i, 0] ** 2 + eu[i, 1] ** 2 + eu[i, 2] ** 2
+        bb = ev[i, 0] ** 2 + ev[i, 1] ** 2 + ev[i, 2] ** 2
+        ab = eu[i, 0] * ev[i, 0] + eu[i, 1] * ev[i, 1] + eu[i, 2] * ev[i, 2]
+        det = aa * bb - ab * ab
+        for j in range(points.shape[0]):
+            x, y, z = (
+                points[j, 0] - p0[i, 0],
+                points[j, 1] - p0[i, 1],
+                points[j, 2] - p0[i, 2],
+            )
+            pa = x * eu[i, 0] + y * eu[i, 1] + z * eu[i, 2]
+            pb = x * ev[i, 0] + y * ev[i, 1] + z * ev[i, 2]
+            u, v = (bb * pa - ab * pb) / det, (aa * pb - ab * pa) / det
+            if u < 0.0 or u > 1.0 or v < 0.0 or v > 1.0:
+                # Outside: the nearest of the four edges.
+                best = 1e30
+                for k in range(4):
+                    if k < 2:
+                        f = float(k)
+                        e = min(1.0, max(0.0, (pa - f * ab) / aa))
+                        s, t = e, f
+                    else:
+                        f = float(k - 2)
+                        e = min(1.0, max(0.0, (pb - f * ab) / bb))
+                        s, t = f, e
+                    d2 = (
+                        (x - s * eu[i, 0] - t * ev[i, 0]) ** 2
+                        + (y - s * eu[i, 1] - t * ev[i, 1]) ** 2
+                        + (z - s * eu[i, 2] - t * ev[i, 2]) ** 2
+                    )
+                    best = min(best, d2)
+            else:
+                best = (
+                    (x - u * eu[i, 0] - v * ev[i, 0]) ** 2
+                    + (y - u * eu[i, 1] - v * ev[i, 1]) ** 2
+                    + (z - u * eu[i, 2] - v * ev[i, 2]) ** 2
+                )
+            out[j] = min(out[j], best)
+    return np.sqrt(out)

@@ -1,0 +1,313 @@
+"""Which primitive each ray from the camera centre sees: exact, by homogeneous edge functions over tiles.
+
+From a fixed centre c every primitive (corner p0, unit normal n, dual edges a, b) turns into three vectors: with
+k = n.(p0 - c), W = n/k, U = a - (a.(p0 - c)) W, V = b - (b.(p0 - c)) W, a ray d meets its plane at distance 1/(W.d)
+with coordinates (U.d/W.d, V.d/W.d). So a hit needs no division, and the nearest hit is the largest W.d (Olano & Greer,
+"Triangle scan conversion using 2D homogeneous coordinates", 1997, in angular form). Tiles keep the list of primitives
+that may touch their bounding cone: for a linear f the maximum of f.d over a cone is |f| cos(max(0, angle - half)).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+COARSE_W, COARSE_H = 64, 32  # pixels of a coarse tile; a multiple of the fine one
+FINE_W, FINE_H = 16, 8
+TOLERANCE = 2e-5  # in units of the edge: closes the cracks float32 leaves between neighbours
+
+
+@njit(nogil=True, cache=True)
+def edge_functions(
+    p0: Any,
+    dual_u: Any,
+    dual_v: Any,
+    normal: Any,
+    two_sided: Any,
+    R_wc: Any,
+    centre: Any,
+    out: Any,
+    index: Any,
+) -> int:
+    """Fill ``out`` (N, 9) float32 with W, U, V in the camera frame of the primitives that face the centre.
+
+    Their numbers go to ``index``; returns how many.
+    """
+    count = 0
+    for i in range(p0.shape[0]):
+        q0, q1, q2 = p0[i, 0] - centre[0], p0[i, 1] - centre[1], p0[i, 2] - centre[2]
+        n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
+        k = n0 * q0 + n1 * q1 + n2 * q2
+        if abs(k) < 1e-9 or (k > 0 and not two_sided[i]):
+            continue
+        ku = dual_u[i, 0] * q0 + dual_u[i, 1] * q1 + dual_u[i, 2] * q2
+        kv = dual_v[i, 0] * q0 + dual_v[i, 1] * q1 + dual_v[i, 2] * q2
+        w0, w1, w2 = n0 / k, n1 / k, n2 / k
+        u0, u1, u2 = (
+            dual_u[i, 0] - ku * w0,
+            dual_u[i, 1] - ku * w1,
+            dual_u[i, 2] - ku * w2,
+        )
+        v0, v1, v2 = (
+            dual_v[i, 0] - kv * w0,
+            dual_v[i, 1] - kv * w1,
+            dual_v[i, 2] - kv * w2,
+        )
+        for j in range(3):
+            r0, r1, r2 = R_wc[0, j], R_wc[1, j], R_wc[2, j]
+            out[count, j] = r0 * w0 + r1 * w1 + r2 * w2
+            out[count, 3 + j] = r0 * u0 + r1 * u1 + r2 * u2
+            out[count, 6 + j] = r0 * v0 + r1 * v1 + r2 * v2
+        index[count] = i
+        count += 1
+    return count
+
+
+@njit(nogil=True, cache=True, inline="always")
+def _reaches(
+    x: float,
+    y: float,
+    z: float,
+    ax: float,
+    ay: float,
+    az: float,
+    cos_h: float,
+    sin_h: float,
+) -> bool:
+    """Whether the linear function (x, y, z) is positive somewhere in the cone."""
+    along = x * ax + y * ay + z * az
+    norm2 = x * x + y * y + z * z
+    across = np.sqrt(max(norm2 - along * along, 0.0))
+    return along * cos_h + across * sin_h > -1e-4 * np.sqrt(norm2)
+
+
+@njit(nogil=True, cache=True)
+def _may_touch(
+    f: Any,
+    i: int,
+    shape: int,
+    ax: float,
+    ay: float,
+    az: float,
+    cos_h: float,
+    sin_h: float,
+) -> bool:
+    w0, w1, w2 = f[i, 0], f[i, 1], f[i, 2]
+    u0, u1, u2 = f[i, 3], f[i, 4], f[i, 5]
+    v0, v1, v2 = f[i, 6], f[i, 7], f[i, 8]
+    if not _reaches(w0, w1, w2, ax, ay, az, cos_h, sin_h):
+        return False
+    if not _reaches(u0, u1, u2, ax, ay, az, cos_h, sin_h):
+        return False
+    if not _reaches(v0, v1, v2, ax, ay, az, cos_h, sin_h):
+        return False
+    if shape == 1:
+        return _reaches(w0 - u0 - v0, w1 - u1 - v1, w2 - u2 - v2, ax, ay, az, cos_h, sin_h)
+    if not _reaches(w0 - u0, w1 - u1, w2 - u2, ax, ay, az, cos_h, sin_h):
+        return False
+    return _reaches(w0 - v0, w1 - v1, w2 - v2, ax, ay, az, cos_h, sin_h)
+
+
+@njit(nogil=True, cache=True)
+def cone_of(rays: Any, y0: int, y1: int, x0: int, x1: int, spread: float) -> tuple[float, float, float, float]:
+    """Axis and cosine of the half angle of the cone round a block of rays, widened by ``spread`` radians.
+
+    The cosine is 2 when the block has no rays.
+    """
+    ax, ay, az = 0.0, 0.0, 0.0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            ax += rays[y, x, 0]
+            ay += rays[y, x, 1]
+            az += rays[y, x, 2]
+    norm = np.sqrt(ax * ax + ay * ay + az * az)
+    if norm < 1e-9:
+        return 0.0, 0.0, 1.0, -1.0
+    ax, ay, az = ax / norm, ay / norm, az / norm
+    lowest, found = 1.0, False
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            r0, r1, r2 = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
+            if r0 != 0.0 or r1 != 0.0 or r2 != 0.0:
+                found = True
+                lowest = min(lowest, ax * r0 + ay * r1 + az * r2)
+    if not found:
+        return ax, ay, az, 2.0
+    return (
+        ax,
+        ay,
+        az,
+        np.cos(min(np.arccos(max(min(lowest, 1.0), -1.0)) + spread, np.pi)),
+    )
+
+
+@njit(nogil=True, cache=True)
+def tile_cones(rays: Any, spreads: Any, tile_w: int, tile_h: int) -> Any:
+    """(rows, columns, 4) float64: axis and cosine of each tile; ``spreads`` (H, W), radians, covers its pixels."""
+    H, W = rays.shape[0], rays.shape[1]
+    rows, cols = (H + tile_h - 1) // tile_h, (W + tile_w - 1) // tile_w
+    out = np.zeros((rows, cols, 4))
+    for ty in range(rows):
+        for tx in range(cols):
+            y0, x0 = ty * tile_h, tx * tile_w
+            y1, x1 = min(y0 + tile_h, H), min(x0 + tile_w, W)
+            spread = 0.0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    spread = max(spread, spreads[y, x])
+            out[ty, tx, 0], out[ty, tx, 1], out[ty, tx, 2], out[ty, tx, 3] = cone_of(rays, y0, y1, x0, x1, spread)
+    return out
+
+
+@njit(nogil=True, cache=True)
+def candidates(f: Any, index: Any, shape: Any, source: Any, count: int, cone: Any, out: Any) -> int:
+    """Rows of ``source[:count]`` (numbers into ``f``) that may be seen in the cone go to ``out``; returns how many."""
+    cos_h = cone[3]
+    if cos_h > 1.5:
+        return 0
+    if cos_h < 0.1:
+        for j in range(count):
+            out[j] = source[j]
+        return count
+    sin_h = np.sqrt(max(0.0, 1.0 - cos_h * cos_h))
+    n = 0
+    for j in range(count):
+        i = source[j]
+        if _may_touch(f, i, shape[index[i]], cone[0], cone[1], cone[2], cos_h, sin_h):
+            out[n] = i
+            n += 1
+    return n
+
+
+@njit(nogil=True, cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"})
+def nearest(
+    f: Any,
+    index: Any,
+    shape: Any,
+    found: Any,
+    count: int,
+    dx: Any,
+    dy: Any,
+    dz: Any,
+    n: int,
+    best: Any,
+    who: Any,
+) -> None:
+    """For n rays: ``best`` = inverse distance of the nearest hit (0: none), ``who`` = its row in ``f`` (-1)."""
+    for j in range(n):
+        best[j] = np.float32(0.0)
+        who[j] = np.int32(-1)
+    tol = np.float32(TOLERANCE)
+    for c in range(count):
+        i = np.int32(found[c])
+        w0, w1, w2 = f[i, 0], f[i, 1], f[i, 2]
+        u0, u1, u2 = f[i, 3], f[i, 4], f[i, 5]
+        v0, v1, v2 = f[i, 6], f[i, 7], f[i, 8]
+        kind = shape[index[i]]
+        if kind == 0:
+            for j in range(n):
+                w = w0 * dx[j] + w1 * dy[j] + w2 * dz[j]
+                u = u0 * dx[j] + u1 * dy[j] + u2 * dz[j]
+                v = v0 * dx[j] + v1 * dy[j] + v2 * dz[j]
+                e = tol * w
+                hit = (w > best[j]) & (u >= -e) & (v >= -e) & (w - u >= -e) & (w - v >= -e)
+                best[j] = w if hit else best[j]
+                who[j] = i if hit else who[j]
+        elif kind == 1:
+            for j in range(n):
+                w = w0 * dx[j] + w1 * dy[j] + w2 * dz[j]
+                u = u0 * dx[j] + u1 * dy[j] + u2 * dz[j]
+                v = v0 * dx[j] + v1 * dy[j] + v2 * dz[j]
+                e = tol * w
+                hit = (w > best[j]) & (u >= -e) & (v >= -e) & (w - u - v >= -e)
+                best[j] = w if hit else best[j]
+                who[j] = i if hit else who[j]
+        elif kind == 2:
+            for j in range(n):
+                w = w0 * dx[j] + w1 * dy[j] + w2 * dz[j]
+                u = u0 * dx[j] + u1 * dy[j] + u2 * dz[j] - np.float32(0.5) * w
+                v = v0 * dx[j] + v1 * dy[j] + v2 * dz[j] - np.float32(0.5) * w
+                hit = (w > best[j]) & (u * u + v * v <= np.float32(0.25) * w * w)
+                best[j] = w if hit else best[j]
+                who[j] = i if hit else who[j]
+        else:
+            # Leaf: |v - 1/2| <= 2 u (1 - u), times w^2.
+            for j in range(n):
+                w = w0 * dx[j] + w1 * dy[j] + w2 * dz[j]
+                u = u0 * dx[j] + u1 * dy[j] + u2 * dz[j]
+                v = v0 * dx[j] + v1 * dy[j] + v2 * dz[j] - np.float32(0.5) * w
+                hit = (w > best[j]) & (abs(v) * w <= np.float32(2.0) * u * (w - u))
+                best[j] = w if hit else best[j]
+                who[j] = i if hit else who[j]
+
+
+@njit(nogil=True, cache=True)
+def cast_centres(
+    f: Any,
+    count: int,
+    index: Any,
+    shape: Any,
+    rays: Any,
+    coarse: Any,
+    fine: Any,
+    who: Any,
+) -> None:
+    """Primitive number seen by each pixel's centre ray into ``who`` (H, W) int32, -1 where none."""
+    H, W = rays.shape[0], rays.shape[1]
+    every = np.arange(count, dtype=np.int32)
+    big, small = np.empty(count + 1, np.int32), np.empty(count + 1, np.int32)
+    size = FINE_W * FINE_H
+    dx, dy, dz = (
+        np.empty(size, np.float32),
+        np.empty(size, np.float32),
+        np.empty(size, np.float32),
+    )
+    best, ids = np.empty(size, np.float32), np.empty(size, np.int32)
+    for cy in range(coarse.shape[0]):
+        for cx in range(coarse.shape[1]):
+            n_big = candidates(f, index, shape, every, count, coarse[cy, cx], big)
+            for ty in range(
+                cy * (COARSE_H // FINE_H),
+                min((cy + 1) * (COARSE_H // FINE_H), fine.shape[0]),
+            ):
+                for tx in range(
+                    cx * (COARSE_W // FINE_W),
+                    min((cx + 1) * (COARSE_W // FINE_W), fine.shape[1]),
+                ):
+                    n_small = candidates(f, index, shape, big, n_big, fine[ty, tx], small)
+                    y0, x0 = ty * FINE_H, tx * FINE_W
+                    y1, x1 = min(y0 + FINE_H, H), min(x0 + FINE_W, W)
+                    n = 0
+                    for y in range(y0, y1):
+                        for x in range(x0, x1):
+                            dx[n], dy[n], dz[n] = (
+                                rays[y, x, 0],
+                                rays[y, x, 1],
+                                rays[y, x, 2],
+                            )
+                            n += 1
+                    nearest(f, index, shape, small, n_small, dx, dy, dz, n, best, ids)
+                    n = 0
+                    for y in range(y0, y1):
+                        for x in range(x0, x1):
+                            who[y, x] = index[ids[n]] if ids[n] >= 0 else -1
+                            n += 1
+
+
+@njit(nogil=True, cache=True)
+def plane_depth(p0: Any, normal: Any, who: Any, rays: Any, R_wc: Any, centre: Any, out: Any) -> None:
+    """Radial depth (H, W) float32 of the seen primitives' planes in float64 arithmetic; NaN where none."""
+    for y in range(who.shape[0]):
+        for x in range(who.shape[1]):
+            i = who[y, x]
+            if i < 0:
+                out[y, x] = np.nan
+                continue
+            k, s = 0.0, 0.0
+            for a in range(3):
+                d = R_wc[a, 0] * rays[y, x, 0] + R_wc[a, 1] * rays[y, x, 1] + R_wc[a, 2] * rays[y, x, 2]
+                k += normal[i, a] * (p0[i, a] - centre[a])
+                s += normal[i, a] * d
+            out[y, x] = k / s

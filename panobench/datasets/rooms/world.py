@@ -1,0 +1,113 @@
+"""A room of a kind and seed, with its path: built on demand, its light kept in the cache."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets.rooms import cache, motion
+from panobench.datasets.rooms.kinds import KINDS, Kind
+from panobench.datasets.rooms.plans import Plan
+from panobench.datasets.rooms.render import worker_count
+from panobench.datasets.rooms.scene import Geometry, Scene, make_geometry, make_surfaces
+
+Array = NDArray[np.float64]
+NOVEL_VIEWS = 8
+CLEARANCE = 0.3
+
+
+@dataclass(frozen=True)
+class Path3:
+    """Camera-to-world poses (N, 4, 4) of the sequence and of the novel views, and the exposure of the scene."""
+
+    T_wc: Array
+    novel: Array
+    exposure: float
+
+
+class World:
+    """Everything about one room that does not depend on the camera."""
+
+    def __init__(self, kind: str, seed: int, frames: int | None) -> None:
+        self.name, self.seed = kind, seed
+        self.kind: Kind = KINDS[kind]
+        self.frames = frames or self.kind.motion.frames
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """Independent random numbers per purpose, the same on every call."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode()), zlib.crc32(purpose.encode())])
+
+    def key(self) -> dict[str, Any]:
+        """What the room and its path depend on."""
+        return {"room": self.name, "seed": self.seed, "frames": self.frames}
+
+    @cached_property
+    def plan(self) -> Plan:
+        """Mesh and walk."""
+        return self.kind.plan(self.rng("plan"))
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """For depth and casting."""
+        return make_geometry(self.plan.mesh)
+
+    @cached_property
+    def folder(self) -> Path:
+        """Cache folder of the room: light and poses."""
+        return cache.cache_root() / "rooms" / f"{self.name}-{self.seed}-{cache.key_of(self.key())}"
+
+    def _bake(self, folder: Path) -> None:
+        from panobench.datasets.rooms.bake import bake
+
+        g = self.geometry
+        surfaces = make_surfaces(g.mesh, self.seed)
+        light = bake(g, surfaces, worker_count())
+        exposure = _exposure(g, light, surfaces.albedo)
+        T_wc = motion.clear_trajectory(
+            self.plan.walk,
+            self.kind.motion,
+            self.frames,
+            g.mesh,
+            self.rng("path"),
+            CLEARANCE,
+        )
+        novel = motion.novel_poses(T_wc, g.mesh, self.rng("novel"), NOVEL_VIEWS, CLEARANCE)
+        np.savez(folder / "room.npz", light=light, exposure=exposure, T_wc=T_wc, novel=novel)
+
+    def prepare(self) -> None:
+        """Bake if the cache has no such room yet."""
+        cache.publish(self.folder, self._bake)
+
+    @cached_property
+    def path(self) -> Path3:
+        """Poses and exposure."""
+        self.prepare()
+        with np.load(self.folder / "room.npz") as z:
+            return Path3(z["T_wc"], z["novel"], float(z["exposure"]))
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Ready to render."""
+        self.prepare()
+        surfaces = make_surfaces(self.geometry.mesh, self.seed)
+        with np.load(self.folder / "room.npz") as z:
+            surfaces.light = z["light"]
+        return Scene(self.geometry, surfaces)
+
+
+def _exposure(g: Geometry, light: NDArray[np.float32], albedo: NDArray[np.float32]) -> float:
+    """Gain that puts the room's area-weighted log mean radiance at 0.15 of display white."""
+    mesh = g.mesh
+    flat = mesh.shape != 1
+    area = np.linalg.norm(np.cross(mesh.eu, mesh.ev), axis=1)[flat]
+    luma = np.array([0.21, 0.72, 0.07])
+    brightness = light @ luma
+    per = np.array([brightness[a : a + n * m].mean() for a, n, m in mesh.nodes[flat]]) * (albedo[flat] @ luma)
+    ok = per > 1e-4
+    return float(0.15 / np.exp(np.average(np.log(per[ok]), weights=area[ok])))
