@@ -126,7 +126,7 @@ def _read_once(bag: BagFile, calibration: PalvioCalibration) -> _Contents:
     poses, dropped = _checked_rows(rows[calibration.groundtruth_topic], 8, calibration.groundtruth_topic, bag.path)
     imu, body = None, None
     if len(samples):
-        imu = Imu(samples[:, 0] - calibration.time_offset_s, samples[:, 1:4], samples[:, 4:7])
+        imu = Imu(samples[:, 0] - calibration.time_offset_s, samples[:, 1:4], samples[:, 4:7], calibration.body_T_cam)
     if len(poses):
         body = Trajectory(poses[:, 0], make_pose(matrix_from_quat(poses[:, 4:8]), poses[:, 1:4]))
     return _Contents(where, times, imu, body, dropped)
@@ -237,7 +237,7 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
     truth_path, imu_path = folder / "groundtruth.tum", folder / "imu.csv"
     imu = read_imu_csv(imu_path) if imu_path.is_file() else None
     if imu is not None:
-        imu = Imu(imu.times - calibration.time_offset_s, imu.gyro, imu.accel)
+        imu = Imu(imu.times - calibration.time_offset_s, imu.gyro, imu.accel, calibration.body_T_cam)
     return ImageSource(
         dataset="palvio",
         name=name,
