@@ -1,0 +1,72 @@
+"""One call from run folders to a report file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from panobench.errors import UnknownNameError, UsageError
+from panobench.report.collect import collect
+from panobench.report.exports import FORMATS, SUFFIXES
+from panobench.report.model import Collection
+from panobench.report.published import load_published
+from panobench.report.tables import build_tables
+
+
+def write_report(
+    runs: Iterable[Path],
+    output: Path,
+    *,
+    format: str | None = None,
+    title: str | None = None,
+    tables: Iterable[str] = (),
+    with_published: bool = True,
+    assets: bool = False,
+) -> Collection:
+    """Read ``runs`` (folders of runs or stores of them) and write the report to ``output``, whole or not at all.
+
+    format: "html", "latex", "csv", "markdown" or "json"; None takes it from the suffix. tables: names of the
+    tables wanted in an export (all). assets: put full-size pictures into a folder beside the HTML file.
+    Raises InputError for unusable input, UsageError for an unknown format or table.
+    """
+    kind = choose_format(output, format)
+    collection = collect(runs)
+    published = load_published() if with_published else None
+    if kind == "html":
+        from panobench.report.html import build_html
+
+        folder = output.with_name(f"{output.stem}_assets") if assets else None
+        text = build_html(collection, title=title, published=published, assets=folder)
+    else:
+        built = build_tables(collection, published)
+        wanted = list(tables)
+        for name in wanted:
+            if name not in [t.name for t in built]:
+                raise UnknownNameError("table", name, [t.name for t in built])
+        text = FORMATS[kind]([t for t in built if not wanted or t.name in wanted])
+    write_whole(output, text)
+    return collection
+
+
+def choose_format(output: Path, format: str | None) -> str:
+    """The format asked for, or the one the suffix of ``output`` stands for."""
+    if format is None:
+        kind = SUFFIXES.get(output.suffix.lower())
+        if kind is None:
+            raise UsageError(f"cannot tell the format of '{output}'; name it *.html or give --format")
+        return kind
+    if format != "html" and format not in FORMATS:
+        raise UnknownNameError("report format", format, ["html", *FORMATS])
+    return format
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write beside and rename into place, so that a reader never sees half a file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,0 +1,128 @@
+"""Which frames of which runs are shown as pictures, and the data the panorama viewer works from."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from panobench.report.images import Picture, Plan, encode_file, plan, spread
+from panobench.report.model import Collection, Run
+from panobench.report.ranking import failure
+
+
+@dataclass
+class Gallery:
+    """Pictures of a report. ``store`` maps a short key to a data URI; equal files are kept once.
+
+    assets: folder for full-size copies (None: none are made); ``links`` maps a key to its relative path there.
+    """
+
+    plan: Plan
+    assets: Path | None = None
+    store: dict[str, str] = field(default_factory=dict)
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    links: dict[str, str] = field(default_factory=dict)
+
+    def add(self, path: Path | None) -> str | None:
+        """The key of a picture file, None when it is absent or cannot be read."""
+        if path is None:
+            return None
+        try:
+            digest = hashlib.sha1(path.read_bytes(), usedforsecurity=False).hexdigest()[:12]
+        except OSError:
+            return None
+        if digest not in self.store:
+            picture: Picture | None = encode_file(path, self.plan.width, self.plan.quality)
+            if picture is None:
+                return None
+            self.store[digest] = picture.uri
+            self.sizes[digest] = (picture.width, picture.height)
+            if self.assets is not None:
+                self.assets.mkdir(parents=True, exist_ok=True)
+                target = self.assets / f"{digest}{path.suffix.lower()}"
+                if not target.exists():
+                    shutil.copyfile(path, target)
+                self.links[digest] = f"{self.assets.name}/{target.name}"
+        return digest
+
+
+def make_gallery(collection: Collection, assets: Path | None = None) -> Gallery:
+    """A gallery whose plan (frames, width, quality) fits this collection into the budget."""
+    sets = [[path for pair in run.pairs for path in (pair.render, pair.truth) if path] for run in collection.runs]
+    return Gallery(plan(sets), assets)
+
+
+def viewer(runs: Sequence[Run], labels: Sequence[str], gallery: Gallery) -> dict[str, Any] | None:
+    """Data of the viewer of one sequence, None without pictures.
+
+    Keys: frames (indices), start (which entry of runs is shown first), runs (each label, run and images:
+    frame -> [render key, truth key or None]), width, height, panorama (whether one can look around in it).
+    """
+    frames = choose_frames(runs, gallery.plan.frames)
+    shown: list[dict[str, Any]] = []
+    for i, run in enumerate(runs):
+        by_frame = {pair.frame: pair for pair in run.pairs if not pair.novel}
+        images: dict[str, list[str | None]] = {}
+        for frame in frames:
+            pair = by_frame.get(frame)
+            if pair is None:
+                continue
+            render = gallery.add(pair.render)
+            if render is not None:
+                images[str(frame)] = [render, gallery.add(pair.truth)]
+        if images:
+            shown.append({"label": labels[i], "run": i, "images": images})
+    if not shown:
+        return None
+    present = sorted({int(f) for entry in shown for f in entry["images"]})
+    first = next(iter(shown[0]["images"].values()))[0]
+    width, height = gallery.sizes[str(first)]
+    return {
+        "frames": present,
+        "runs": shown,
+        "start": max(range(len(shown)), key=lambda k: _quality(runs[shown[k]["run"]])),
+        "width": width,
+        "height": height,
+        "panorama": width == 2 * height and runs[shown[0]["run"]].variant.get("camera", "erp").startswith("erp"),
+    }
+
+
+def _quality(run: Run) -> tuple[bool, float, float]:
+    """Sorts runs by whether they succeeded, how well they render, and how well they track."""
+    psnr, ate = run.number("pano_psnr_db"), run.number("ate_rmse_m")
+    return failure(run) is None, -1.0 if psnr is None else psnr, -1e9 if ate is None else -ate
+
+
+def choose_frames(runs: Sequence[Run], keep: int) -> list[int]:
+    """At most ``keep`` frames, evenly spread over those that most runs have."""
+    counts = Counter(pair.frame for run in runs for pair in run.pairs if not pair.novel)
+    if not counts:
+        return []
+    most = max(counts.values())
+    common = sorted(f for f, n in counts.items() if n == most)
+    return [common[i] for i in spread(len(common), keep)]
+
+
+def depth_pictures(run: Run, gallery: Gallery) -> dict[str, str] | None:
+    """{"depth": key, "confidence": key} of the initial depth, None when the run has no such picture."""
+    if run.depth is None:
+        return None
+    found = {"depth": gallery.add(run.depth.depth), "confidence": gallery.add(run.depth.confidence)}
+    keys = {name: key for name, key in found.items() if key is not None}
+    return keys or None
+
+
+def novel_pictures(run: Run, gallery: Gallery) -> list[tuple[str, str | None, int]]:
+    """(render key, truth key, number) of views off the trajectory, at most half as many as frames are shown."""
+    pairs = [pair for pair in run.pairs if pair.novel]
+    out = []
+    for i in spread(len(pairs), max(1, gallery.plan.frames // 2)):
+        render = gallery.add(pairs[i].render)
+        if render is not None:
+            out.append((render, gallery.add(pairs[i].truth), pairs[i].frame))
+    return out

@@ -1,0 +1,63 @@
+"""Figures printed in papers, read from the package; reference rows that are never ranked against runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+#: Which published ATE table belongs to which dataset name, and what to say when the data are not the same.
+_TABLES = {
+    "synpano": ("synpano_ate_rmse_m", ""),
+    "palvio": ("palvio_ate_rmse_m", ""),
+    "rooms": (
+        "synpano_ate_rmse_m",
+        "The published rows are for SynPano's rooms: the built-in rooms are modelled after them, "
+        "with other geometry, images and paths. They give the order of magnitude only.",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Published:
+    """The content of a file of published figures."""
+
+    source: str
+    platform: str
+    tables: Mapping[str, Any]
+
+
+def load_published(path: Path | None = None) -> Published | None:
+    """The package's published figures (or those of ``path``); None when the file is not there."""
+    import yaml
+
+    if path is None:
+        path = Path(__file__).parent.parent / "bench" / "published" / "panogs_slam.yaml"
+    if not path.is_file():
+        return None
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    return Published(str(content.get("source", "")), str(content.get("platform", "")), content)
+
+
+def published_block(
+    published: Published, dataset: str, sequences: Sequence[str], unit: str, scale: float
+) -> tuple[list[tuple[str, list[float | None]]], tuple[str, ...]]:
+    """(label, ATE per sequence in ``unit``) rows for a dataset, and the notes that must stand below them.
+
+    Empty when nothing is published for it, or for none of these sequences. None is a printed failure.
+    """
+    name, caveat = _TABLES.get(dataset, ("", ""))
+    table = published.tables.get(name)
+    if not table or not set(sequences) <= set(table["sequences"]):
+        return [], ()
+    where = [table["sequences"].index(s) for s in sequences]
+    rows = []
+    for method, entry in table.items():
+        if method == "sequences":
+            continue
+        values = entry["values"] if isinstance(entry, Mapping) else entry
+        label = f"{method} + IMU" if isinstance(entry, Mapping) and entry.get("imu") else method
+        rows.append((label, [None if values[i] is None else float(values[i]) * scale for i in where]))
+    source = f"Rows marked “published” are figures printed in {published.source} ({published.platform}), not measured."
+    return rows, tuple(note for note in (source, caveat) if note)

@@ -1,0 +1,56 @@
+"""Variants: a method with the options that set it apart from the others in this report, and its label."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from panobench.report.model import VARIANT_KEYS, Collection, Origin, Run
+
+_WORDS = {"width": "{} px", "fov": "{}° fov", "every": "every {}", "max_frames": "{} frames", "holdout": "holdout {}"}
+
+
+@dataclass(frozen=True, order=True)
+class Variant:
+    """What one row of a comparison stands for. ``parts``: only the options that differ in this report."""
+
+    method: str
+    parts: tuple[tuple[str, str], ...] = ()
+    origin: Origin = "measured"
+
+    @property
+    def label(self) -> str:
+        """Method and distinguishing options, for example "panogs · paper · 256 px"."""
+        return " · ".join([self.method, *(_WORDS.get(key, "{}").format(value) for key, value in self.parts)])
+
+
+def variants(collection: Collection) -> dict[Variant, list[Run]]:
+    """Runs grouped into variants. An option counts only where it differs between runs on one sequence."""
+    differing = _differing(collection)
+    grouped: dict[Variant, list[Run]] = defaultdict(list)
+    for run in collection.runs:
+        grouped[variant_of(run, differing)].append(run)
+    return dict(sorted(grouped.items(), key=lambda item: (item[0].origin != "measured", item[0])))
+
+
+def variant_of(run: Run, differing: Iterable[str]) -> Variant:
+    """The variant a run belongs to, given the option names that matter in this report."""
+    keep = set(differing)
+    parts = tuple((k, run.variant[k]) for k in VARIANT_KEYS if k in keep and run.variant.get(k))
+    return Variant(run.method, parts, run.origin)
+
+
+def _differing(collection: Collection) -> set[str]:
+    found: set[str] = set()
+    for place in collection.places():
+        runs = collection.at(place)
+        for key in VARIANT_KEYS:
+            by_method: dict[str, set[str]] = defaultdict(set)
+            for run in runs:
+                by_method[run.method].add(run.variant.get(key, ""))
+            if any(len(values) > 1 for values in by_method.values()):
+                found.add(key)
+    if len({r.variant.get("camera") for r in collection.runs}) > 1:
+        found.add("camera")
+    return found

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+
+import pytest
+
+from panobench.report.collect import collect
+from panobench.report.exports import FORMATS, csv_text, latex_text
+from panobench.report.model import Collection
+from panobench.report.published import Published, load_published
+from panobench.report.ranking import failure, ranks, summarise
+from panobench.report.tables import build_tables, format_number, length_text
+from panobench.report.variants import variants
+
+PUBLISHED = Published(
+    "A paper",
+    "a machine",
+    {
+        "synpano_ate_rmse_m": {
+            "sequences": ["room1", "room2"],
+            "ORB-SLAM3": [0.015, None],
+            "PanoGS-SLAM": [0.005, 0.018],
+        }
+    },
+)
+
+
+def table(collection: Collection, name: str, published: Published | None = None):
+    return next(t for t in build_tables(collection, published) if t.name == name)
+
+
+def by_label(found):
+    return {row.cells[0].text: dict(zip([c.key for c in found.columns], row.cells)) for row in found.rows}
+
+
+def test_accuracy_table_ranks_medians_and_shows_coverage_and_failures(suite):
+    rows = by_label(table(collect([suite]), "ate-rooms"))
+    assert next(iter(rows)) == "panogs"
+    panogs, sparse, imported = rows["panogs"], rows["sparse"], rows["imported-slam"]
+    assert panogs["room1"].text == "1.73"
+    assert panogs["room1"].rank == 1
+    assert panogs["room1"].repeats == 3
+    assert "n = 3" in panogs["room1"].spread
+    assert sparse["room1"].rank == 2
+    assert sparse["room2"].text == "/"
+    assert sparse["room2"].failed
+    assert sparse["room2"].coverage == pytest.approx(0.6)
+    assert imported["room2"].about == "crashed"
+    assert panogs["succeeded"].text == "2/2"
+    assert sparse["mean"].text == "–"
+    assert panogs["mean"].value == pytest.approx((1e3 * 0.001 + 1e3 * 0.002) / 2 * math.sqrt(3))
+
+
+def test_low_coverage_and_large_errors_fail_whatever_the_status_says(make_run):
+    runs = [make_run("low", tracked=0.85), make_run("far", metrics={"ate_rmse_m": 3.2}), make_run("fine")]
+    reasons = {r.folder.name: failure(r) for r in collect(runs).runs}
+    assert reasons == {"low": "tracked 85%", "far": "ATE over 3 m", "fine": None}
+
+
+def test_failed_repeats_count_as_worst():
+    one = summarise([1.0, 2.0, None], 1)
+    assert one is not None
+    assert one.median == 2.0
+    two = summarise([1.0, None, None], 2)
+    assert two is not None
+    assert not two.ok
+    assert summarise([], 0) is None
+    best = summarise([30.0, None, None], 2, higher_is_better=True)
+    assert best is not None
+    assert not best.ok
+
+
+def test_equal_printed_values_share_a_rank():
+    assert ranks(["1.0", "1.0", "1.2", "3"], [1.0, 1.01, 1.2, 3.0], "lower") == [1, 1, 2, None]
+    assert ranks(["1", "2"], [1.0, 2.0], "higher") == [2, 1]
+    assert ranks(["1"], [1.0], "lower") == [None]
+    assert ranks(["1", "2"], [1.0, 2.0], "none") == [None, None]
+
+
+def test_published_rows_stand_apart_and_are_never_ranked(suite):
+    found = table(collect([suite]), "ate-rooms", PUBLISHED)
+    rows = by_label(found)
+    assert [row.origin for row in found.rows][-2:] == ["published", "published"]
+    assert rows["ORB-SLAM3"]["room1"].text == "15.0"
+    assert rows["ORB-SLAM3"]["room2"].failed
+    assert all(c.rank is None for row in found.rows if row.origin == "published" for c in row.cells)
+    assert rows["panogs"]["room1"].rank == 1
+    assert any("A paper" in note for note in found.notes)
+    assert any("modelled after" in note for note in found.notes)
+
+
+def test_published_rows_need_the_same_sequences(make_run):
+    make_run("a", sequence="attic")
+    assert all(r.origin == "measured" for r in table(collect([make_run("b").parent]), "ate-rooms", PUBLISHED).rows)
+
+
+def test_the_packages_published_figures_are_readable():
+    published = load_published()
+    assert published is not None
+    assert "PanoGS-SLAM" in published.source
+    assert published.tables["synpano_ate_rmse_m"]["PanoGS-SLAM"] == [0.005, 0.018, 0.003, 0.003, 0.010]
+
+
+def test_variants_name_only_what_differs(make_run):
+    make_run("a", spec={"preset": "paper", "width": 512})
+    make_run("b", spec={"preset": "fast", "width": 512})
+    make_run("c", method="sparse", sequence="room2", spec={"width": 256})
+    labels = [v.label for v in variants(collect([make_run("d", seed=4, spec={"preset": "fast"}).parent]))]
+    assert labels == ["panogs · fast", "panogs · paper", "sparse"]
+
+
+def test_empty_columns_are_left_out(suite):
+    keys = [c.key for c in table(collect([suite]), "rendering").columns]
+    assert "lpips" not in keys
+    assert "psnr_db" in keys
+
+
+def test_numbers_print_with_fixed_digits():
+    assert format_number(1234.567, 1) == "1 234.6"
+    assert [length_text(v, "mm") for v in (0.8123, 12.34, 123.4)] == ["0.81", "12.3", "123"]
+    assert length_text(1.8271, "m") == "1.827"
+
+
+def test_exports_hold_the_same_numbers(suite):
+    tables = build_tables(collect([suite]), PUBLISHED)
+    latex = FORMATS["latex"](tables)
+    assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == len(tables)
+    assert r"\textbf{1.73}" in latex
+    assert r"/ {\scriptsize(60\%)}" in latex
+    assert re.search(r"\\textit\{ORB-SLAM3\}.*published", latex)
+    markdown = FORMATS["markdown"](tables)
+    assert "| **1.73** |" in markdown
+    document = json.loads(FORMATS["json"](tables))
+    assert [t["name"] for t in document["tables"]] == [t.name for t in tables]
+    rows = list(csv.DictReader(io.StringIO(FORMATS["csv"]([t for t in tables if t.name == "runs"]))))
+    assert len(rows) == 8
+    assert float(rows[0]["ate_rmse_m [mm]"]) > 0
+    assert sum(row["ate_rmse_m [mm]"] == "/" for row in rows) == 2
+
+
+def test_every_latex_row_has_the_columns_its_head_announces(suite):
+    for found in build_tables(collect([suite]), PUBLISHED):
+        latex = FORMATS["latex"]([found])
+        for line in latex.splitlines():
+            if line.endswith(r"\\"):
+                assert len(re.findall(r"(?<!\\)&", line)) == len(found.columns) - 1
+
+
+def test_names_from_data_cannot_break_an_export(make_run):
+    evil = "a_b & <b> | 50% $x$ {\\}\n=1"
+    runs = [make_run("a", method=evil), make_run("b")]
+    tables = build_tables(collect(runs))
+    assert latex_text("_&%$#{}~^\\") == (r"\_\&\%\$\#\{\}\textasciitilde{}\textasciicircum{}\textbackslash{}")
+    line = next(x for x in FORMATS["markdown"](tables).splitlines() if "a\\_b" in x)
+    assert "<b>" not in line
+    assert len(re.findall(r"(?<!\\)\|", line)) == len(tables[0].columns) + 1
+    assert csv_text("=HYPERLINK(1)") == "'=HYPERLINK(1)"
+    assert csv_text("-1.5") == "-1.5"
+    json.loads(FORMATS["json"](tables))
