@@ -1,0 +1,64 @@
+"""Options of PanoGS-SLAM. The defaults are the best we have; ``PAPER`` is the paper's setting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class PanogsConfig:
+    """Grouped by stage; lengths named ``_rel`` are in units of the median scene depth."""
+
+    # Rendering
+    projection: Literal["auto", "sphere", "erp", "pinhole"] = "auto"
+    low_pass: float = 0.3
+    # Tracking
+    solver: Literal["gauss-newton", "adam"] = "gauss-newton"
+    tracking_iterations: int = 15  # of solver "adam"
+    tracking_renders: int = 2
+    exposure: bool = False
+    loss: Literal["cosine", "uniform", "gaussian"] = "cosine"
+    # Keyframes (MonoGS's rule)
+    window: int = 8
+    keyframe_overlap: float = 0.9
+    keyframe_min_rel: float = 0.05
+    keyframe_max_rel: float = 0.08
+    keyframe_interval: int = 5
+    # Gaussians
+    pixels_per_gaussian: float = 5.0
+    insert_opacity: float = 0.5
+    depth_guided: bool = True  # False: the "w/o DGIS" ablation
+    flatten: float = 0.15
+    scale_factor: float = 0.6
+    initial_opacity: float = 0.8
+    # Mapping
+    mapping_iterations: int = 30
+    initial_iterations: int = 60
+    random_views: int = 2
+    random_from: Literal["frames", "keyframes"] = "frames"
+    refine_poses: bool = True
+    pose_rate_rotation: float = 2e-4
+    pose_rate_translation_rel: float = 2e-4
+    position_rate_rel: float = 1.6e-4
+    scale_rate: float = 5e-3
+    rotation_rate: float = 1e-3
+    opacity_rate: float = 0.05
+    colour_rate: float = 2.5e-3
+    isotropy: float = 10.0
+    densify: bool = True
+    prune_opacity: float = 0.05
+    final_iterations: int = 0
+    # Depth of the first frame when the run names no estimator
+    constant_depth: float = 2.0
+
+
+#: The paper's solver, iterations and projection.
+PAPER: dict[str, Any] = {
+    "projection": "erp",
+    "solver": "adam",
+    "tracking_iterations": 15,
+    "mapping_iterations": 30,
+    "tracking_renders": 1,
+}
+PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER}

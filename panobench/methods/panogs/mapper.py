@@ -1,0 +1,143 @@
+"""The back-end: seeding, optimising, growing and pruning the Gaussian map over a window of keyframes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.geometry import invert_pose
+from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.surface import equal_area_pixels, fill_depth, seed_gaussians
+from panobench.methods.panogs.views import View
+from panobench.splat.adam import GaussianAdam, LearningRates
+from panobench.splat.gaussians import F32, GaussianMap
+from panobench.splat.loss import photometric_loss, pixel_weights
+from panobench.splat.render import Renderer, RenderOutput
+
+
+class Mapper:
+    """Owns the map, its optimiser and the views it is fitted to."""
+
+    def __init__(self, camera: Camera, renderer: Renderer, config: PanogsConfig, seed: int) -> None:
+        self.camera, self.renderer, self.config = camera, renderer, config
+        self.rng = np.random.default_rng(seed)
+        self.weights = pixel_weights(camera, config.loss)
+        self.map = GaussianMap.empty()
+        self.adam = GaussianAdam(0)
+        self.born = np.zeros(0, np.int32)  # keyframe number at which each Gaussian was inserted
+        self.window: list[View] = []
+        self.keyframes: list[View] = []
+        self.frames: list[View] = []
+        self.median_depth = 1.0
+        coverage = float(camera.solid_angle().sum())
+        valid = int(np.count_nonzero(camera.valid_mask()))
+        self.count = max(int(valid / config.pixels_per_gaussian), 16)
+        self.spacing = float(np.sqrt(coverage / self.count))
+
+    # -- growing -------------------------------------------------------------------------------------------------
+
+    def initialise(self, view: View, depth: F32) -> None:
+        """First map from the first view and its depth (H, W)."""
+        depth = fill_depth(depth, self.camera.kind == "erp")
+        self.median_depth = float(np.nanmedian(depth))
+        self._seed(view, depth, equal_area_pixels(self.camera, self.count, self.rng))
+
+    def insert(self, view: View, render: RenderOutput) -> int:
+        """New Gaussians for a keyframe where the map is thin; returns how many.
+
+        Depth comes from the rendered depth, else from the nearest pixel that has one (across the seam), plus a small
+        perturbation (DGIS); without ``depth_guided`` it is the median depth, perturbed as MonoGS does.
+        """
+        pixels = equal_area_pixels(self.camera, self.count, self.rng)
+        x, y = pixels[:, 0].astype(np.intp), pixels[:, 1].astype(np.intp)
+        pixels = pixels[render.opacity[np.minimum(y, self.camera.height - 1), x % self.camera.width]
+                        < self.config.insert_opacity]  # fmt: skip
+        if len(pixels) == 0:
+            return 0
+        known = render.expected_depth(0.5)
+        if self.config.depth_guided:
+            depth = fill_depth(known, self.camera.kind == "erp")
+            guessed = ~np.isfinite(known)
+            noise = 0.02
+        else:
+            depth = np.full_like(known, self.median_depth)
+            guessed = np.ones(known.shape, bool)
+            noise = 0.15
+        depth = np.where(guessed, depth * (1 + noise * self.rng.standard_normal(depth.shape)), depth)
+        return self._seed(view, depth.astype(np.float32), pixels)
+
+    def _seed(self, view: View, depth: F32, pixels: NDArray[np.float64]) -> int:
+        c = self.config
+        new = seed_gaussians(
+            self.camera, view.image, depth, pixels, view.T_wc, self.spacing,
+            flatten=c.flatten, scale_factor=c.scale_factor, opacity=c.initial_opacity,
+        )  # fmt: skip
+        self.map = self.map.concat(new)
+        self.adam.extend(len(new))
+        self.born = np.concatenate([self.born, np.full(len(new), len(self.keyframes), np.int32)])
+        return len(new)
+
+    def add_keyframe(self, view: View, window: list[View]) -> None:
+        self.keyframes.append(view)
+        self.window = window
+
+    # -- optimising ----------------------------------------------------------------------------------------------
+
+    def optimise(self, iterations: int, *, poses: bool = True) -> float:
+        """``iterations`` single-view steps: newest first and often, the window in turn, random other views.
+
+        Returns the mean loss. The very first keyframe's pose stays fixed: it is the world frame.
+        """
+        schedule = self._schedule(iterations)
+        return float(np.mean([self.step(view, refine_pose=poses) for view in schedule])) if schedule else 0.0
+
+    def _schedule(self, iterations: int) -> list[View]:
+        pool = self.frames if self.config.random_from == "frames" and self.frames else self.keyframes
+        others = [v for v in pool if v not in self.window]
+        out: list[View] = []
+        while len(out) < iterations and self.window:
+            round_ = [self.window[0]]
+            rest = self.window[1:]
+            if rest:
+                round_ += [rest[i] for i in self.rng.permutation(len(rest))[:3]]
+            n = min(self.config.random_views, len(others))
+            round_ += [others[i] for i in self.rng.choice(len(others), n, replace=False)] if n else []
+            out += round_
+        return out[:iterations]
+
+    def step(self, view: View, refine_pose: bool) -> float:
+        """One render, one backward pass, one Adam step on what the view touched."""
+        out = self.renderer.forward(self.map, view.T_wc)
+        loss, gradient, _ = photometric_loss(out.planes, view.image, self.weights, view.gain, view.offset)
+        grads = self.renderer.backward(gradient, planar=True)
+        isotropy = self.config.isotropy / max(3 * len(out.order), 1)
+        z = self.median_depth
+        self.adam.step(
+            self.map, grads.packed, self.rates(), isotropy, (1e-4 * z, 0.5 * z),
+        )  # fmt: skip
+        if refine_pose and self.config.refine_poses and self.keyframes and view is not self.keyframes[0]:
+            rates = (self.config.pose_rate_translation_rel * z, self.config.pose_rate_rotation)
+            view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), grads.pose, rates))
+        return loss
+
+    def rates(self) -> LearningRates:
+        c = self.config
+        return LearningRates(
+            c.position_rate_rel * self.median_depth, c.scale_rate, c.rotation_rate, c.opacity_rate, c.colour_rate
+        )
+
+    def prune(self) -> int:
+        """Drop Gaussians that faded, grew huge or stopped being finite; returns how many."""
+        g = self.map
+        logit = np.log(self.config.prune_opacity / (1 - self.config.prune_opacity))
+        keep = (g.opacity_logits > logit) & (g.log_scales.max(axis=1) < np.log(0.3 * self.median_depth))
+        keep &= np.isfinite(g.means).all(axis=1) & np.isfinite(g.log_scales).all(axis=1)
+        dropped = int(np.count_nonzero(~keep))
+        if dropped:
+            self.map, self.born = g.select(keep), self.born[keep]
+            self.adam.select(keep)
+            for view in [*self.window, *self.keyframes]:
+                if view.touched is not None and len(view.touched) <= len(keep):
+                    view.touched = view.touched[keep[: len(view.touched)]]
+        return dropped

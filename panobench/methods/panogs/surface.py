@@ -1,0 +1,152 @@
+"""Seeding Gaussians on a depth map: where, how large, and lying in the surface (DGIS).
+
+Equal-area directions keep the poles from being over-populated; a Gaussian is a disc in the local tangent plane,
+because thick overlapping blobs bias the composited depth towards the camera.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.geometry import fibonacci_sphere, quat_from_matrix
+from panobench.splat.gaussians import F32, GaussianMap
+
+#: A disc seen edge-on is not stretched beyond this to cover its pixels.
+MAX_STRETCH = 3.0
+
+
+def surface_normals(camera: Camera, depth: F32) -> NDArray[np.float64]:
+    """Unit normals (H, W, 3) in the camera frame facing the camera, by central differences of the points.
+
+    Where a neighbour is missing or lies across a depth edge (over 10% apart) the one-sided difference is used,
+    else the viewing direction. Panoramas wrap.
+    """
+    points = camera.rays() * depth[..., None].astype(np.float64)
+    du = _tangent(points, depth, axis=1, wrap=camera.kind == "erp")
+    dv = _tangent(points, depth, axis=0, wrap=False)
+    normal = np.cross(dv, du)
+    norm = np.linalg.norm(normal, axis=-1, keepdims=True)
+    view = -camera.rays()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normal = np.where(norm > 1e-12, normal / norm, view)
+    normal = np.where(np.isfinite(normal), normal, view)
+    flip = np.sum(normal * view, axis=-1, keepdims=True) < 0
+    return np.asarray(np.where(flip, -normal, normal))
+
+
+def _tangent(points: NDArray[np.float64], depth: F32, axis: int, wrap: bool) -> NDArray[np.float64]:
+    def shift(a: NDArray[np.generic], by: int) -> NDArray[np.generic]:
+        moved = np.roll(a, by, axis=axis).astype(np.float64)
+        if not wrap:
+            edge = [slice(None)] * a.ndim
+            edge[axis] = slice(0, 1) if by > 0 else slice(-1, None)
+            moved[tuple(edge)] = np.nan
+        return moved
+
+    before, after = shift(points, 1), shift(points, -1)
+    d = depth.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        ok_b = np.abs(shift(depth, 1) / d - 1) < 0.1
+        ok_a = np.abs(shift(depth, -1) / d - 1) < 0.1
+    lo = np.where(ok_b[..., None], before, points)
+    hi = np.where(ok_a[..., None], after, points)
+    return np.asarray(hi - lo)
+
+
+def equal_area_pixels(camera: Camera, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """About ``count`` pixel positions (M, 2), equal in solid angle, on the camera's valid pixels.
+
+    The lattice is turned by a random rotation, so that repeated calls do not reuse directions.
+    """
+    if camera.kind == "pinhole":
+        # Equal area in the image: the perspective image is what has to be covered evenly.
+        step = float(np.sqrt(camera.width * camera.height / max(count, 1)))
+        u = np.arange(step / 2, camera.width, step)
+        v = np.arange(step / 2, camera.height, step)
+        grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2) + rng.uniform(-0.3, 0.3, 2) * step
+        pixels = np.clip(grid, 0.5, [camera.width - 0.5, camera.height - 0.5])
+        return pixels[_valid_at(camera, pixels)]
+    coverage = float(camera.solid_angle().sum())
+    total = round(count * 4 * np.pi / max(coverage, 1e-6))
+    q, r = np.linalg.qr(rng.normal(size=(3, 3)))
+    pixels, valid = camera.project(fibonacci_sphere(total) @ (q * np.sign(np.diag(r))).T)
+    pixels = pixels[valid]
+    return np.asarray(pixels[_valid_at(camera, pixels)])
+
+
+def _valid_at(camera: Camera, pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    x, y = _nearest(camera, pixels)
+    return np.asarray(camera.valid_mask()[y, x])
+
+
+def _nearest(camera: Camera, pixels: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    x = np.clip(np.floor(pixels[:, 0]).astype(np.intp), 0, camera.width - 1)
+    y = np.clip(np.floor(pixels[:, 1]).astype(np.intp), 0, camera.height - 1)
+    return x, y
+
+
+def seed_gaussians(
+    camera: Camera,
+    image: NDArray[np.uint8],
+    depth: F32,
+    pixels: NDArray[np.float64],
+    T_wc: NDArray[np.float64],
+    spacing_rad: float,
+    *,
+    flatten: float,
+    scale_factor: float,
+    opacity: float,
+) -> GaussianMap:
+    """Discs at ``pixels`` (M, 2) on the surface given by radial ``depth`` (H, W), coloured from the image.
+
+    spacing_rad: angle between neighbouring seeds; a disc's standard deviation is scale_factor x spacing x depth,
+    stretched along the tilt of the surface so that it still covers its share of the image, and ``flatten`` times
+    that along the normal. Pixels without depth are skipped.
+    """
+    x, y = _nearest(camera, pixels)
+    d = depth[y, x].astype(np.float64)
+    keep = np.isfinite(d) & (d > 0)
+    x, y, d, pixels = x[keep], y[keep], d[keep], pixels[keep]
+    rays = camera.unproject(pixels)
+    normals = surface_normals(camera, depth)[y, x]
+    # The seed lies off the pixel centre: slide the depth along the tangent plane through the centre's point.
+    centre = camera.rays()[y, x]
+    denominator = np.sum(rays * normals, axis=1)
+    slide = np.sum(centre * normals, axis=1) / np.where(np.abs(denominator) > 0.1, denominator, np.inf)
+    d = d * np.where((slide > 0.9) & (slide < 1.1), slide, 1.0)
+    cosine = np.clip(np.abs(denominator), 1.0 / MAX_STRETCH, 1.0)
+    tilt = -rays - np.sum(-rays * normals, axis=1, keepdims=True) * normals
+    tilt_norm = np.linalg.norm(tilt, axis=1, keepdims=True)
+    helper = np.where(np.abs(normals[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    fallback = np.cross(normals, helper)
+    fallback /= np.linalg.norm(fallback, axis=1, keepdims=True)
+    first = np.where(tilt_norm > 1e-3, tilt / np.maximum(tilt_norm, 1e-12), fallback)
+    axes = np.stack([first, np.cross(normals, first), normals], axis=-1)
+    base = scale_factor * spacing_rad * d
+    scales = np.stack([base / cosine, base, flatten * base], axis=1)
+    R_wc, t = T_wc[:3, :3], T_wc[:3, 3]
+    quats = quat_from_matrix(R_wc @ axes)[:, [3, 0, 1, 2]]
+    return GaussianMap(
+        ((rays * d[:, None]) @ R_wc.T + t).astype(np.float32),
+        np.log(scales).astype(np.float32),
+        quats.astype(np.float32),
+        np.full(len(d), np.log(opacity / (1 - opacity)), np.float32),
+        (image[y, x] / np.float32(255)).astype(np.float32),
+    )
+
+
+def fill_depth(depth: F32, wrap: bool) -> F32:
+    """Nearest known depth for every unknown pixel, across the seam of a panorama; NaN only if nothing is known."""
+    from scipy.ndimage import distance_transform_edt
+
+    unknown = ~(np.isfinite(depth) & (depth > 0))
+    if not unknown.any() or unknown.all():
+        return depth
+    w = depth.shape[1]
+    tiled = np.concatenate([unknown, unknown, unknown], axis=1) if wrap else unknown
+    index = distance_transform_edt(tiled, return_distances=False, return_indices=True)
+    if wrap:
+        index = index[:, :, w : 2 * w]
+    return np.asarray(depth[index[0], index[1] % w])

@@ -1,0 +1,168 @@
+"""PanoGS-SLAM: monocular panoramic Gaussian splatting SLAM as an online method.
+
+Mao et al., "PanoGS-SLAM: Panoramic 3D Gaussian Splatting SLAM". What differs from the paper is in docs/panogs.md.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.geometry import invert_pose, renormalise
+from panobench.methods.base import MethodContext, OnlineMethod
+from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.keyframes import is_keyframe, update_window
+from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.tracker import Tracked, Tracker
+from panobench.methods.panogs.views import View
+from panobench.splat.render import Renderer
+from panobench.splat.view import Projection
+from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
+
+
+@dataclass
+class _Record:
+    """A tracked frame, tied to the keyframe it was tracked against so that it follows its refinement."""
+
+    time: float
+    anchor: View
+    relative: NDArray[np.float64]
+
+    @property
+    def T_wc(self) -> NDArray[np.float64]:
+        return renormalise(self.anchor.T_wc @ self.relative)
+
+
+class PanogsMethod(OnlineMethod):
+    """Front-end, back-end and the order in which they work."""
+
+    config: PanogsConfig
+
+    def __init__(self, config: PanogsConfig | None = None) -> None:
+        super().__init__(config or PanogsConfig())
+
+    def start(self, camera: Camera, context: MethodContext) -> None:
+        self.camera, self.context = camera, context
+        self.renderer = Renderer(camera, self._projection(camera), self.config.low_pass)
+        self.track_renderer = Renderer(camera, self._projection(camera), self.config.low_pass, stop=1e-3)
+        self.mapper = Mapper(camera, self.renderer, self.config, context.seed)
+        self.tracker = Tracker(camera, self.track_renderer, self.config)
+        self.estimator = context.make_depth() if context.make_depth else None
+        if self.estimator:
+            self.estimator.start(camera, context.seed)
+        self.waiting: list[Frame] = []
+        self.records: dict[int, _Record] = {}
+        self.numbers: dict[int, dict[str, float]] = {}
+        self.depth: DepthEstimate | None = None
+
+    def _projection(self, camera: Camera) -> Projection:
+        return "sphere" if self.config.projection == "auto" else self.config.projection
+
+    def track(self, frame: Frame) -> NDArray[np.float64] | None:
+        if self.depth is None:
+            self.waiting.append(frame)
+            estimate = self.estimator.add(frame) if self.estimator else self._constant_depth(frame)
+            if estimate is None:
+                return None
+            self._initialise(estimate)
+        else:
+            self._process(frame)
+        record = self.records.get(frame.index)
+        return None if record is None else record.T_wc
+
+    def _constant_depth(self, frame: Frame) -> DepthEstimate:
+        shape = frame.image.shape[:2]
+        return DepthEstimate(np.full(shape, self.config.constant_depth, np.float32), frame.index)
+
+    def _initialise(self, estimate: DepthEstimate) -> None:
+        """Build the first map and track the frames that waited for it."""
+        self.depth = estimate
+        waiting, self.waiting = self.waiting, []
+        first = next(f for f in waiting if f.index == estimate.frame_index)
+        view = View(first.index, first.image, np.eye(4))
+        self.mapper.initialise(view, estimate.depth)
+        out = self.renderer.forward(self.mapper.map, view.T_wc, count_touched=True)
+        view.touched = out.touched
+        self.mapper.add_keyframe(view, [view])
+        self.mapper.optimise(self.config.initial_iterations, poses=False)
+        self.tracker.reset(view.T_wc)
+        self.records[first.index] = _Record(first.time, view, np.eye(4))
+        self.numbers[first.index] = {"keyframe": 1.0}
+        for frame in waiting:
+            if frame.index > first.index:
+                hint = estimate.T_wc.get(frame.index)
+                self._process(frame, hint)
+
+    def _process(self, frame: Frame, hint: NDArray[np.float64] | None = None) -> None:
+        began = time.perf_counter()
+        if hint is not None and self.tracker.T_last is not None:
+            self.tracker.velocity = invert_pose(self.tracker.T_last) @ hint
+        tracked = self.tracker.track(frame.image, self.mapper.map)
+        anchor = self.mapper.window[0]
+        self.records[frame.index] = _Record(frame.time, anchor, invert_pose(anchor.T_wc) @ tracked.T_wc)
+        numbers = {
+            "tracking_s": time.perf_counter() - began,
+            "loss": tracked.cost,
+            "iterations": float(tracked.iterations),
+            "gaussians": float(len(self.mapper.map)),
+        }
+        if frame.mappable:
+            keyframe = self._map(frame, tracked)
+            numbers["keyframe"] = float(keyframe)
+        numbers["mapping_s"] = time.perf_counter() - began - numbers["tracking_s"]
+        self.numbers[frame.index] = numbers
+
+    def _map(self, frame: Frame, tracked: Tracked) -> bool:
+        """Keyframe decision; for a keyframe insertion, optimisation and pruning."""
+        m = self.mapper
+        last = m.window[0]
+        assert tracked.render.touched is not None and last.touched is not None
+        view = View(frame.index, frame.image, tracked.T_wc, touched=tracked.render.touched)
+        distance = float(np.linalg.norm(view.position - last.position)) / m.median_depth
+        if not is_keyframe(
+            self.config, view.touched > 0, last.touched > 0, distance, frame.index - last.index,
+            len(m.window) >= self.config.window,
+        ):  # fmt: skip
+            m.frames.append(view)
+            return False
+        m.insert(view, tracked.render)
+        m.add_keyframe(view, update_window(m.window, view, self.config.window))
+        m.optimise(self.config.mapping_iterations)
+        m.prune()
+        record = self.records[frame.index]
+        record.anchor, record.relative = view, np.eye(4)
+        velocity = self.tracker.velocity
+        self.tracker.reset(view.T_wc, velocity)
+        return True
+
+    def finish(self) -> Estimate:
+        if self.depth is None and self.waiting:
+            estimate = self.estimator.finish() if self.estimator else None
+            if estimate is not None:
+                self._initialise(estimate)
+        if self.config.final_iterations and self.mapper.keyframes:
+            self.mapper.window = list(self.mapper.keyframes)
+            self.mapper.optimise(self.config.final_iterations, poses=False)
+        indices = sorted(self.records)
+        records = [self.records[i] for i in indices]
+        poses = np.array([r.T_wc for r in records]).reshape(-1, 4, 4)
+        return Estimate(
+            Trajectory(np.array([r.time for r in records]), poses),
+            keyframes=sorted(v.index for v in self.mapper.keyframes),
+            metric=bool(self.depth and self.depth.metric),
+            map=self.mapper.map if len(self.mapper.map) else None,
+            frames=self.numbers,
+            depth=self.depth,
+            extra={"gaussians": len(self.mapper.map), "projection": self._projection(self.camera)},
+        )
+
+    def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
+        if not len(self.mapper.map):
+            return None
+        projection = self._projection(camera)
+        renderer = Renderer(camera, projection if projection == camera.kind else "sphere", self.config.low_pass)
+        return np.ascontiguousarray(np.clip(renderer.forward(self.mapper.map, T_wc).colour, 0.0, 1.0))

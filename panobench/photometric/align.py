@@ -1,0 +1,319 @@
+"""Direct image alignment: the pose of a frame against an image with depth, coarse to fine.
+
+Inverse-compositional Gauss-Newton (Baker & Matthews, "Lucas-Kanade 20 years on", 2004) with points X = D s along the
+reference rays: residual I_f(pi(T X)) - gain I_r - offset, Jacobian from the reference image (it is the less noisy
+one; with the frame's, steps come out too short), weights cos(lat) x Huber, Levenberg-Marquardt damping, and a step
+is kept only if the mean robust cost falls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import get_num_threads, njit, prange
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.geometry import invert_pose, renormalise, se3_exp
+from panobench.photometric.pyramid import F32, halve
+from panobench.photometric.warp import camera_code, halved, sample, to_pixel
+from panobench.splat.kernel_options import JIT, PARALLEL
+
+#: Unknowns per step: translation (3), rotation (3), log gain, offset.
+UNKNOWNS = 8
+_HESSIAN = UNKNOWNS * (UNKNOWNS + 1) // 2
+
+
+@dataclass(frozen=True)
+class AlignOptions:
+    """iterations: most per level, coarsest first (the last repeats). huber: residual (of 1) where the cost turns
+    linear. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v) is ill-suited there).
+    step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
+    """
+
+    iterations: tuple[int, ...] = (12, 8, 6, 5)
+    huber: float = 0.05
+    latitude_limit_deg: float = 75.0
+    step_m: float = 2e-5
+    step_rad: float = 1e-5
+    exposure: bool = False
+    gradient_min: float = 2e-3
+
+
+@dataclass(frozen=True)
+class ReferenceLevel:
+    """Selected pixels of one pyramid level: points (n, 3) camera frame, jacobian (n, 6), value (n,), weight (n,)."""
+
+    points: F32
+    jacobian: F32
+    value: F32
+    weight: F32
+    camera: F32
+
+
+@dataclass(frozen=True)
+class Reference:
+    """An image with depth, ready to align frames to; level 0 is full size."""
+
+    levels: list[ReferenceLevel]
+    code: int
+
+
+@dataclass
+class Alignment:
+    """T_fr (4, 4): frame from reference camera. cost: mean robust residual; overlap: weight share that was seen.
+
+    hessian (6, 6) at the solution over (translation, rotation) of the reference camera, on the finest level.
+    converged: the last level stopped because steps became small. gain, offset: frame = exp(gain) render + offset.
+    """
+
+    T_fr: NDArray[np.float64]
+    cost: float
+    overlap: float
+    iterations: int
+    converged: bool
+    hessian: NDArray[np.float64]
+    gain: float = 0.0
+    offset: float = 0.0
+    costs: list[float] = field(default_factory=list)
+
+
+@njit(**JIT)
+def _ray(x, y, code, cam):  # type: ignore[no-untyped-def]
+    """Unit ray of pixel (x, y) and the cosine of its latitude (1 for a pinhole)."""
+    u, v = float(x) + 0.5, float(y) + 0.5
+    if code == 0:
+        lon, lat = (u / cam[0] - 0.5) * 2 * np.pi, (0.5 - v / cam[1]) * np.pi
+        c = np.cos(lat)
+        return c * np.sin(lon), -np.sin(lat), c * np.cos(lon), c
+    rx, ry = (u - cam[4]) / cam[2], (v - cam[5]) / cam[3]
+    n = 1.0 / np.sqrt(rx * rx + ry * ry + 1.0)
+    return rx * n, ry * n, n, 1.0
+
+
+@njit(**JIT)
+def _select_row(  # type: ignore[no-untyped-def]
+    y, image, depth, code, cam, sin_limit, gradient_min, points, jacobian, value, weight, n, fill
+):
+    """Selected pixels of row y, written from index n on if ``fill``; returns the new count."""
+    h, w = image.shape
+    for x in range(w):
+        d = depth[y, x]
+        if not d > 0:
+            continue
+        xm, xp = x - 1, x + 1
+        if code == 0:
+            xm, xp = (xm + w) % w, xp % w
+        elif xm < 0 or xp >= w:
+            continue
+        gx = 0.5 * (image[y, xp] - image[y, xm])
+        gy = 0.5 * (image[y + 1, x] - image[y - 1, x])
+        if not (abs(gx) + abs(gy) >= gradient_min):  # also drops NaN
+            continue
+        rx, ry, rz, c = _ray(x, y, code, cam)
+        if code == 0 and abs(ry) > sin_limit:
+            continue
+        if fill:
+            X, Y, Z = rx * d, ry * d, rz * d
+            if code == 0:
+                a, b = cam[0] / (2 * np.pi), cam[1] / np.pi
+                rho2 = X * X + Z * Z
+                rho, r2 = np.sqrt(rho2), rho2 + Y * Y
+                jx = gx * a * Z / rho2 - gy * b * X * Y / (r2 * rho)
+                jy = gy * b * rho / r2
+                jz = -gx * a * X / rho2 - gy * b * Z * Y / (r2 * rho)
+            else:
+                jx, jy = gx * cam[2] / Z, gy * cam[3] / Z
+                jz = -(jx * X + jy * Y) / Z
+            points[n, 0], points[n, 1], points[n, 2] = X, Y, Z
+            jacobian[n, 0], jacobian[n, 1], jacobian[n, 2] = jx, jy, jz
+            jacobian[n, 3] = Y * jz - Z * jy
+            jacobian[n, 4] = Z * jx - X * jz
+            jacobian[n, 5] = X * jy - Y * jx
+            value[n] = image[y, x]
+            weight[n] = c
+        n += 1
+    return n
+
+
+@njit(**PARALLEL)
+def _select(image, depth, code, cam, sin_limit, gradient_min):  # type: ignore[no-untyped-def]
+    h = image.shape[0]
+    counts = np.zeros(h + 1, np.int64)
+    e2, e1 = np.empty((0, 0), np.float32), np.empty(0, np.float32)
+    for y in prange(1, h - 1):
+        counts[y + 1] = _select_row(y, image, depth, code, cam, sin_limit, gradient_min, e2, e2, e1, e1, 0, False)
+    for y in range(h):
+        counts[y + 1] += counts[y]
+    n = counts[h]
+    points, jacobian = np.empty((n, 3), np.float32), np.empty((n, 6), np.float32)
+    value, weight = np.empty(n, np.float32), np.empty(n, np.float32)
+    for y in prange(1, h - 1):
+        _select_row(
+            y, image, depth, code, cam, sin_limit, gradient_min, points, jacobian, value, weight, counts[y], True
+        )
+    return points, jacobian, value, weight
+
+
+@njit(**PARALLEL)
+def _halve_depth(depth, ratio):  # type: ignore[no-untyped-def]
+    """Inverse-depth mean of 2x2 blocks; NaN where fewer than three are known or near and far differ by ``ratio``."""
+    h, w = depth.shape[0] // 2, depth.shape[1] // 2
+    out = np.empty((h, w), np.float32)
+    for y in prange(h):
+        for x in range(w):
+            s, n, near, far = 0.0, 0, 1e30, 0.0
+            for dy in range(2):
+                for dx in range(2):
+                    d = depth[2 * y + dy, 2 * x + dx]
+                    if d > 0:
+                        s += 1.0 / d
+                        n += 1
+                        near, far = min(near, d), max(far, d)
+            out[y, x] = n / s if n >= 3 and far < ratio * near else np.nan
+    return out
+
+
+def make_reference(
+    camera: Camera, luma: F32, depth: F32, levels: int, options: AlignOptions = AlignOptions()
+) -> Reference:
+    """Prepare a reference from luma (H, W) in 0..1 and radial depth (H, W), both NaN where unknown."""
+    code, cam = camera_code(camera)
+    sin_limit = float(np.sin(np.deg2rad(options.latitude_limit_deg)))
+    out = []
+    for level in range(levels):
+        if level:
+            luma, depth = halve(luma), _halve_depth(depth, 1.3)
+        parameters = halved(cam, level)
+        arrays = _select(luma, depth, code, parameters, sin_limit, options.gradient_min)
+        out.append(ReferenceLevel(*arrays, parameters))
+    return Reference(out, code)
+
+
+@njit(**PARALLEL)
+def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, offset, huber, threads):  # type: ignore[no-untyped-def]
+    """Per-thread normal equations: (threads, _HESSIAN + UNKNOWNS + 2): H upper triangle, b, cost, weight seen."""
+    n = points.shape[0]
+    out = np.zeros((threads, _HESSIAN + UNKNOWNS + 2))
+    g = np.float32(np.exp(gain))
+    off, delta = np.float32(offset), np.float32(huber)
+    block = (n + threads - 1) // threads
+    for th in prange(threads):
+        A = np.zeros(_HESSIAN + UNKNOWNS + 2)
+        J = np.empty(UNKNOWNS, np.float32)
+        for k in range(th * block, min((th + 1) * block, n)):
+            x, y, z = points[k, 0], points[k, 1], points[k, 2]
+            px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+            py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+            pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+            u, v, ok = to_pixel(px, py, pz, code, cam)
+            if not ok:
+                continue
+            s = sample(image, u, v, code)
+            r = s - g * value[k] - off
+            if not (abs(r) < 10):  # NaN: masked or outside
+                continue
+            a = abs(r)
+            w = weight[k]
+            A[_HESSIAN + UNKNOWNS + 1] += w
+            if a <= delta:
+                A[_HESSIAN + UNKNOWNS] += w * 0.5 * r * r
+            else:
+                A[_HESSIAN + UNKNOWNS] += w * delta * (a - 0.5 * delta)
+                w *= delta / a
+            for i in range(6):
+                J[i] = g * jacobian[k, i]
+            J[6] = g * value[k]
+            J[7] = np.float32(1)
+            q = 0
+            for i in range(UNKNOWNS):
+                wj = w * J[i]
+                A[_HESSIAN + i] += wj * r
+                for j in range(i, UNKNOWNS):
+                    A[q] += wj * J[j]
+                    q += 1
+        out[th] = A
+    return out
+
+
+def _normal_equations(
+    level: ReferenceLevel,
+    image: F32,
+    code: int,
+    T: NDArray[np.float64],
+    gain: float,
+    offset: float,
+    options: AlignOptions,
+    threads: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+    """H (8, 8), b (8,), mean robust cost and share of the weight that was seen, at pose T."""
+    R, t = T[:3, :3].astype(np.float32), T[:3, 3].astype(np.float32)
+    sums = _accumulate(
+        level.points, level.jacobian, level.value, level.weight, image, code, level.camera,
+        R, t, gain, offset, options.huber, threads,
+    ).sum(axis=0)  # fmt: skip
+    H = np.zeros((UNKNOWNS, UNKNOWNS))
+    H[np.triu_indices(UNKNOWNS)] = sums[:_HESSIAN]
+    H = H + np.triu(H, 1).T
+    seen = float(sums[-1])
+    total = float(level.weight.sum(dtype=np.float64))
+    cost = float(sums[-2]) / seen if seen > 0 else np.inf
+    return H, sums[_HESSIAN : _HESSIAN + UNKNOWNS], cost, seen / total if total > 0 else 0.0
+
+
+def align(
+    reference: Reference,
+    frame: list[F32],
+    T_fr: NDArray[np.float64],
+    options: AlignOptions = AlignOptions(),
+    *,
+    finest: int = 0,
+    coarsest: int | None = None,
+    gain: float = 0.0,
+    offset: float = 0.0,
+) -> Alignment:
+    """Align a frame (luma pyramid, level 0 full size) to ``reference`` from the start pose ``T_fr``.
+
+    Levels from ``coarsest`` (None: the smallest both have) down to ``finest`` are used in turn.
+    """
+    threads = get_num_threads()
+    free = np.arange(UNKNOWNS) if options.exposure else np.arange(6)
+    top = min(len(reference.levels), len(frame)) - 1
+    first = top if coarsest is None else min(coarsest, top)
+    T = renormalise(T_fr)
+    count, converged, costs = 0, False, []
+    H, cost, seen = np.zeros((UNKNOWNS, UNKNOWNS)), np.inf, 0.0
+    for step, level_index in enumerate(range(first, min(finest, first) - 1, -1)):
+        level, image = reference.levels[level_index], frame[level_index]
+        limit = options.iterations[min(step, len(options.iterations) - 1)]
+        damping, converged = 1e-4, False
+        H, b, cost, seen = _normal_equations(level, image, reference.code, T, gain, offset, options, threads)
+        for _ in range(limit):
+            if not np.isfinite(cost) or len(level.value) < 50:
+                break
+            count += 1
+            Hf = H[np.ix_(free, free)]
+            A = Hf + damping * np.diag(np.diag(Hf)) + 1e-9 * np.trace(Hf) / len(free) * np.eye(len(free))
+            try:
+                x = np.linalg.solve(A, b[free])
+            except np.linalg.LinAlgError:
+                break
+            # J x ~ r for the reference's own motion x; the frame's motion is its inverse.
+            T_new = renormalise(T @ invert_pose(se3_exp(x[:6])))
+            gain_new, offset_new = (gain + x[6], offset + x[7]) if options.exposure else (gain, offset)
+            trial = _normal_equations(level, image, reference.code, T_new, gain_new, offset_new, options, threads)
+            if trial[2] < cost and trial[3] > 0.5 * seen:
+                T, gain, offset = T_new, gain_new, offset_new
+                H, b, cost, seen = trial
+                damping = max(damping * 0.2, 1e-7)
+            else:
+                damping *= 20
+                if damping > 1e3:
+                    converged = True
+                    break
+            if np.linalg.norm(x[:3]) < options.step_m and np.linalg.norm(x[3:6]) < options.step_rad:
+                converged = True
+                break
+        costs.append(cost)
+    return Alignment(T, cost, seen, count, converged, H[:6, :6], gain, offset, costs)

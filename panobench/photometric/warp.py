@@ -1,0 +1,95 @@
+"""Kernel-side cameras: projecting a point and sampling an image, for panoramas and pinholes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.errors import UnsupportedError
+from panobench.splat.kernel_options import JIT
+
+ERP, PINHOLE = 0, 1
+_PI = np.float32(np.pi)
+_HALF_PI = np.float32(np.pi / 2)
+
+
+def camera_code(camera: Camera) -> tuple[int, NDArray[np.float32]]:
+    """(code, parameters) for the kernels; parameters are (W, H, fx, fy, cx, cy).
+
+    Raises UnsupportedError for cameras the kernels do not know.
+    """
+    if camera.kind == "erp":
+        return ERP, np.array([camera.width, camera.height, 0, 0, 0, 0], np.float32)
+    if camera.kind == "pinhole" and not any(getattr(camera, "distortion", ()) or ()):
+        values = [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]  # type: ignore[attr-defined]
+        return PINHOLE, np.array(values, np.float32)
+    raise UnsupportedError(
+        f"photometric alignment works on erp and undistorted pinhole images, not on this {camera.kind} camera; "
+        "convert it with --camera erp"
+    )
+
+
+def halved(parameters: NDArray[np.float32], level: int) -> NDArray[np.float32]:
+    """Camera parameters ``level`` pyramid levels up (pixel centres at k + 0.5 make this a plain division)."""
+    return np.asarray(parameters / np.float32(2**level), dtype=np.float32)
+
+
+@njit(**JIT)
+def atan2_fast(y, x):  # type: ignore[no-untyped-def]
+    """atan2 in float32, absolute error below 3e-7 (odd polynomial, minimax fit on [0, 1])."""
+    ax, ay = abs(x), abs(y)
+    top, bottom = min(ax, ay), max(ax, ay)
+    a = top / max(bottom, np.float32(1e-30))
+    s = a * a
+    r = np.float32(0.00681177) * s - np.float32(0.03360415)
+    r = r * s + np.float32(0.0796236)
+    r = r * s - np.float32(0.13233339)
+    r = r * s + np.float32(0.19807815)
+    r = r * s - np.float32(0.33317368)
+    r = (r * s + np.float32(0.99999611)) * a
+    if ay > ax:
+        r = _HALF_PI - r
+    if x < 0:
+        r = _PI - r
+    return -r if y < 0 else r
+
+
+@njit(**JIT)
+def to_pixel(x, y, z, code, cam):  # type: ignore[no-untyped-def]
+    """Point in the camera frame -> (u, v, in front)."""
+    if code == 0:
+        rho = np.sqrt(x * x + z * z)
+        u = cam[0] * (np.float32(0.5) + atan2_fast(x, z) / (2 * _PI))
+        v = cam[1] * (np.float32(0.5) + atan2_fast(y, rho) / _PI)
+        return u, v, True
+    if z < np.float32(1e-3):
+        return np.float32(0), np.float32(0), False
+    return cam[2] * x / z + cam[4], cam[3] * y / z + cam[5], True
+
+
+@njit(**JIT)
+def sample(image, u, v, code):  # type: ignore[no-untyped-def]
+    """Bilinear value at (u, v); columns wrap on a panorama, rows are clamped there; NaN outside a pinhole."""
+    h, w = image.shape
+    fu, fv = u - np.float32(0.5), v - np.float32(0.5)
+    x0, y0 = int(np.floor(fu)), int(np.floor(fv))
+    a, b = fu - np.float32(x0), fv - np.float32(y0)
+    x1, y1 = x0 + 1, y0 + 1
+    if code == 0:
+        if x0 < 0:
+            x0 += w
+        elif x0 >= w:
+            x0 -= w
+        if x1 < 0:
+            x1 += w
+        elif x1 >= w:
+            x1 -= w
+        y0, y1 = min(max(y0, 0), h - 1), min(max(y1, 0), h - 1)
+        x0, x1 = min(max(x0, 0), w - 1), min(max(x1, 0), w - 1)
+    elif x0 < 0 or y0 < 0 or x1 >= w or y1 >= h:
+        return np.float32(np.nan)
+    top = image[y0, x0] + a * (image[y0, x1] - image[y0, x0])
+    bottom = image[y1, x0] + a * (image[y1, x1] - image[y1, x0])
+    return top + b * (bottom - top)
