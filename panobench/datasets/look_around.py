@@ -1,0 +1,37 @@
+"""A self-contained HTML page in which one looks around in panoramas: WebGL, inline images, no network."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets.images import encode_image
+from panobench.datasets.writer import explained_disk_errors
+
+
+def look_around_page(title: str, panoramas: list[tuple[str, NDArray[np.uint8]]], *, quality: int = 88) -> str:
+    """The page's HTML for (label, full-sphere ERP image) pairs; with several, a slider chooses."""
+    frames = [
+        {"label": label, "src": "data:image/jpeg;base64," + base64.b64encode(_jpeg(image, quality)).decode("ascii")}
+        for label, image in panoramas
+    ]
+    template = (files("panobench.datasets") / "look_around.html").read_text(encoding="utf-8")
+    data = json.dumps(frames).replace("</", "<\\/")
+    return template.replace("{{title}}", html.escape(title)).replace("{{frames}}", data)
+
+
+def write_look_around_page(path: Path, title: str, panoramas: list[tuple[str, NDArray[np.uint8]]]) -> None:
+    """Write the page. Raises DatasetError if it cannot be written."""
+    text = look_around_page(title, panoramas)
+    with explained_disk_errors(path):
+        path.write_text(text, encoding="utf-8")
+
+
+def _jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+    return encode_image(image, ".jpg", quality=quality)
