@@ -22,7 +22,9 @@ class OracleDepth(DepthEstimator):
         if frame.depth is not None:
             return DepthEstimate(frame.depth, frame.index, metric=True)
         if self._seen >= 10:
-            raise UnavailableError("--depth oracle: the dataset has no depth for the first frames; use --depth bootstrap")
+            raise UnavailableError(
+                "--depth oracle: the dataset has no depth for the first frames; use --depth bootstrap"
+            )
         return None
 
 

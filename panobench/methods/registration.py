@@ -1,8 +1,20 @@
 """Specs of the built-in methods."""
 
+from panobench.methods.panogs.config import PRESETS as PANOGS_PRESETS
 from panobench.specs import MethodSpec
 
 METHODS: tuple[MethodSpec, ...] = (
+    MethodSpec(
+        "panogs",
+        "PanoGS-SLAM: panoramic 3D Gaussian splatting SLAM on the CPU",
+        "panobench.methods.panogs.system:PanogsMethod",
+        cameras=("erp", "pinhole"),
+        licence="GPL-3.0-or-later",
+        citation="Mao et al., PanoGS-SLAM: Panoramic 3D Gaussian Splatting SLAM",
+        install="built in",
+        config="panobench.methods.panogs.config:PanogsConfig",
+        presets=PANOGS_PRESETS,
+    ),
     MethodSpec(
         "sparse",
         "feature SLAM on bearing vectors: patches on tangent faces, bundle adjustment; any central camera",

@@ -97,7 +97,7 @@ def _select_row(  # type: ignore[no-untyped-def]
     y, image, depth, code, cam, sin_limit, gradient_min, points, jacobian, value, weight, n, fill
 ):
     """Selected pixels of row y, written from index n on if ``fill``; returns the new count."""
-    h, w = image.shape
+    w = image.shape[1]
     for x in range(w):
         d = depth[y, x]
         if not d > 0:

@@ -120,7 +120,8 @@ class PanogsMethod(OnlineMethod):
         """Keyframe decision; for a keyframe insertion, optimisation and pruning."""
         m = self.mapper
         last = m.window[0]
-        assert tracked.render.touched is not None and last.touched is not None
+        assert tracked.render.touched is not None
+        assert last.touched is not None
         view = View(frame.index, frame.image, tracked.T_wc, touched=tracked.render.touched)
         distance = float(np.linalg.norm(view.position - last.position)) / m.median_depth
         if not is_keyframe(

@@ -77,9 +77,7 @@ class Tracker:
         for k in range(renders):
             render = self.renderer.forward(gaussians, T, count_touched=k == renders - 1)
             luma = luma_of_planes(render.planes)
-            reference = make_reference(
-                self.camera, luma, render.expected_depth(OPACITY_MIN), len(frame), self.options
-            )
+            reference = make_reference(self.camera, luma, render.expected_depth(OPACITY_MIN), len(frame), self.options)
             a = align(reference, frame, np.eye(4), self.options, coarsest=None if k == 0 else 1)
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations

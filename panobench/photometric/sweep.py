@@ -1,0 +1,145 @@
+"""Plane sweep on the sphere and semi-global regularisation: depth of one image from several posed ones.
+
+Collins, "A space-sweep approach to true multi-image matching" (1996), with spherical shells for planes; four-path
+dynamic programming after Hirschmueller, "Stereo processing by semiglobal matching" (2008). Panoramas wrap.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from panobench.photometric.pyramid import F32
+from panobench.photometric.warp import sample, to_pixel
+from panobench.splat.kernel_options import JIT, PARALLEL
+
+
+@njit(**PARALLEL)
+def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, out):  # type: ignore[no-untyped-def]
+    """Mean truncated |I_f - I_r| per shell.
+
+    reference (H, W) luma; rays (H, W, 3) float32; frames (F, H, W); R (F, 3, 3), t (F, 3): frame from reference
+    camera; depths (D,) radial. out (H, W, D); samples outside a frame's view cost nothing and do not count, and a
+    pixel no frame sees costs half the truncation everywhere.
+    """
+    h, w = reference.shape
+    n_depths, n_frames = len(depths), frames.shape[0]
+    for y in prange(h):
+        hits = np.empty(n_depths, np.float32)
+        for x in range(w):
+            cost = out[y, x]
+            for k in range(n_depths):
+                cost[k] = np.float32(0)
+                hits[k] = np.float32(0)
+            value = reference[y, x]
+            if value == value:
+                for f in range(n_frames):
+                    rx = R[f, 0, 0] * rays[y, x, 0] + R[f, 0, 1] * rays[y, x, 1] + R[f, 0, 2] * rays[y, x, 2]
+                    ry = R[f, 1, 0] * rays[y, x, 0] + R[f, 1, 1] * rays[y, x, 1] + R[f, 1, 2] * rays[y, x, 2]
+                    rz = R[f, 2, 0] * rays[y, x, 0] + R[f, 2, 1] * rays[y, x, 1] + R[f, 2, 2] * rays[y, x, 2]
+                    image = frames[f]
+                    for k in range(n_depths):
+                        d = depths[k]
+                        u, v, ok = to_pixel(d * rx + t[f, 0], d * ry + t[f, 1], d * rz + t[f, 2], code, cam)
+                        if ok:
+                            s = abs(sample(image, u, v, code) - value)
+                            if s == s:
+                                cost[k] += min(s, truncation)
+                                hits[k] += np.float32(1)
+            for k in range(n_depths):
+                cost[k] = cost[k] / hits[k] if hits[k] > 0 else np.float32(0.5) * truncation
+
+
+@njit(**JIT)
+def _path_step(cost, before, p1, p2, line):  # type: ignore[no-untyped-def]
+    """One step of the recursion along a path: ``line`` receives the path cost of this pixel."""
+    n = len(cost)
+    low = before[0]
+    for k in range(1, n):
+        low = min(low, before[k])
+    for k in range(n):
+        best = min(before[k], low + p2)
+        if k > 0:
+            best = min(best, before[k - 1] + p1)
+        if k < n - 1:
+            best = min(best, before[k + 1] + p1)
+        line[k] = cost[k] + best - low
+
+
+@njit(**PARALLEL)
+def semi_global(cost, luma, p1, p2, edge, wrap):  # type: ignore[no-untyped-def]
+    """Sum of the four path costs (H, W, D). Jumps cost less across image edges: p2 / (1 + edge |difference|)."""
+    h, w, n = cost.shape
+    total = np.zeros((h, w, n), np.float32)
+    for y in prange(h):
+        a, b = np.zeros(n, np.float32), np.empty(n, np.float32)
+        for direction in range(2):
+            a[:] = 0
+            # On a panorama the path starts half a turn early, so that the seam is no boundary.
+            lead = w // 2 if wrap else 0
+            for i in range(-lead, w):
+                x = i % w if direction == 0 else (w - 1 - i) % w
+                q = (x - 1) % w if direction == 0 else (x + 1) % w
+                p = p2 / (np.float32(1) + edge * abs(luma[y, x] - luma[y, q]))
+                p = p if p > p1 else p1
+                _path_step(cost[y, x], a, p1, p, b)
+                if i >= 0:
+                    for k in range(n):
+                        total[y, x, k] += b[k]
+                a, b = b, a
+    for x in prange(w):
+        a, b = np.zeros(n, np.float32), np.empty(n, np.float32)
+        for direction in range(2):
+            a[:] = 0
+            for i in range(h):
+                y = i if direction == 0 else h - 1 - i
+                q = max(y - 1, 0) if direction == 0 else min(y + 1, h - 1)
+                p = p2 / (np.float32(1) + edge * abs(luma[y, x] - luma[q, x]))
+                p = p if p > p1 else p1
+                _path_step(cost[y, x], a, p1, p, b)
+                for k in range(n):
+                    total[y, x, k] += b[k]
+                a, b = b, a
+    return total
+
+
+@njit(**PARALLEL)
+def pick_shell(total, log_depth0, log_step, depth, confidence):  # type: ignore[no-untyped-def]
+    """Cheapest shell with a parabola through its neighbours; shells are equally spaced in log depth.
+
+    confidence in 0..1: how much dearer the best shell is that lies more than two shells away.
+    """
+    h, w, n = total.shape
+    for y in prange(h):
+        for x in range(w):
+            c = total[y, x]
+            k = 0
+            for i in range(1, n):
+                if c[i] < c[k]:
+                    k = i
+            shift = 0.0
+            if 0 < k < n - 1:
+                bend = c[k - 1] - 2 * c[k] + c[k + 1]
+                if bend > 1e-12:
+                    shift = 0.5 * (c[k - 1] - c[k + 1]) / bend
+            depth[y, x] = np.exp(log_depth0 + (k + shift) * log_step)
+            second = np.float32(1e30)
+            for i in range(n):
+                if abs(i - k) > 2:
+                    second = min(second, c[i])
+            confidence[y, x] = 1 - c[k] / max(second, np.float32(1e-12))
+
+
+def smooth_cost(cost: NDArray[np.float32], sigma: float, wrap: bool) -> F32:
+    """Gaussian aggregation of a cost volume (H, W, D) over (H, W), across the seam of a panorama."""
+    import cv2
+
+    pad = int(np.ceil(3 * sigma))
+    wide = np.concatenate([cost[:, -pad:], cost, cost[:, :pad]], axis=1) if wrap else cost
+    out = np.empty_like(wide)
+    for k in range(0, cost.shape[2], 4):  # cv2 filters up to four channels at a time
+        part = np.ascontiguousarray(wide[:, :, k : k + 4])
+        blurred = cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+        out[:, :, k : k + 4] = blurred.reshape(part.shape)
+    return np.ascontiguousarray(out[:, pad:-pad] if wrap else out)
