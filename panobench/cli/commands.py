@@ -9,6 +9,7 @@ from __future__ import annotations
 #: In the order `panobench --help` shows them.
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("panobench.cli.run", "Run one method on one sequence and store the run."),
+    "suite": ("panobench.cli.suite", "Run a matrix of methods, cameras, datasets and seeds; resumable."),
     "report": ("panobench.cli.report", "Write one offline HTML file, or tables, from stored runs."),
     "list": ("panobench.cli.list", "Show every camera, dataset, method, depth estimator, metric and study."),
     "plugin": ("panobench.cli.plugin", "Write a plugin package, or check one against the contract."),

@@ -1,0 +1,156 @@
+"""One planned run of a suite: what it is, and the hash of everything that could change its result."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any
+
+from panobench.bench.config import config_values, method_config
+from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
+from panobench.bench.opening import DEFAULT_DEPTH, method_spec, open_input
+from panobench.bench.request import RunRequest
+from panobench.errors import InputError, PanobenchError, UsageError
+from panobench.metrics.base import PROTOCOL_VERSION
+from panobench.plugins import registry
+from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, Spec
+from panobench.types import RunStatus
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of one run: wall-clock seconds, resident memory of its process tree, and number of its processes."""
+
+    timeout_s: float = 3600.0
+    memory_gib: float = 8.0
+    processes: int = 128
+
+    def __post_init__(self) -> None:
+        for name in ("timeout_s", "memory_gib", "processes"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+                raise UsageError(f"option {name}: '{value}' is not a positive number")
+
+    @property
+    def memory_bytes(self) -> int:
+        return int(self.memory_gib * 2**30)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A run request with its limits; ``repeat`` tells apart runs that are asked for several times."""
+
+    request: RunRequest
+    repeat: int = 0
+    limits: Limits = field(default_factory=Limits)
+
+    @cached_property
+    def identity(self) -> str:
+        """Hash of what was asked for; the same for results of different versions of code or data."""
+        return digest([self.request.to_dict(), self.repeat])
+
+    @property
+    def label(self) -> str:
+        """For people: method[preset, settings] camera dataset/sequence seed."""
+        r = self.request
+        chosen = [r.preset] if r.preset else []
+        chosen += [f"{k}={v}" for k, v in r.settings.items()]
+        method = f"{r.method}[{', '.join(chosen)}]" if chosen else r.method
+        place = f"{r.dataset}/{r.sequence}" if r.sequence else r.dataset
+        repeat = f" repeat {self.repeat}" if self.repeat else ""
+        return f"{method} {r.camera} {place} seed {r.seed}{repeat}"
+
+    @property
+    def slug(self) -> str:
+        """A folder name: readable, harmless, and unique by the identity's first digits."""
+        r = self.request
+        words = [r.method, r.preset or "", r.camera, r.dataset, r.sequence or "", f"s{r.seed}"]
+        text = "-".join(re.sub(r"[^A-Za-z0-9_]+", "_", w) for w in words if w)
+        return f"{text[:80]}-{self.identity[:8]}"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {"request": self.request.to_dict(), "repeat": self.repeat, "limits": asdict(self.limits)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Cell:
+        return cls(RunRequest.from_dict(values["request"]), values["repeat"], Limits(**values["limits"]))
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A cell with its key. status: set when it cannot run here at all, with the reason in message."""
+
+    cell: Cell
+    key: str
+    status: RunStatus | None = None
+    message: str = ""
+
+
+class Planner:
+    """Computes keys; remembers code and data hashes, as most cells of a suite share them."""
+
+    def __init__(self) -> None:
+        self._data: dict[str, Any] = {}
+        self._code: dict[tuple[str, ...], str] = {}
+
+    def plan(self, cell: Cell) -> Planned:
+        """Raises UsageError for options the method does not have: a mistake in the suite, not a result."""
+        try:
+            spec = method_spec(cell.request)
+            config = method_config(spec, cell.request.preset, cell.request.settings)
+            data = self._data_of(cell.request)
+        except UsageError:
+            raise
+        except PanobenchError as error:
+            return self._impossible(cell, error)
+        code = self._code_of(cell.request, spec)
+        parts = {
+            "cell": cell.identity,
+            "config": config_values(config),
+            "code": code,
+            "environment": environment_fingerprint(),
+            "data": data,
+            "protocol": PROTOCOL_VERSION,
+        }
+        return Planned(cell, digest(parts))
+
+    def _impossible(self, cell: Cell, error: PanobenchError) -> Planned:
+        """Not runnable here and now: its key holds the reason, so it is planned anew when the reason changes."""
+        # Data that are missing or broken are as much in the way as a missing package.
+        status = RunStatus.UNAVAILABLE if isinstance(error, InputError) else RunStatus(error.run_status)
+        return Planned(cell, digest([cell.identity, status.value, str(error)]), status, str(error))
+
+    def _data_of(self, request: RunRequest) -> Any:
+        """The sequence as it would be given to a method: its files' checksums, its camera, its length."""
+        seen = ("dataset", "sequence", "root", "camera", "width", "fov", "every", "max_frames")
+        key = digest([getattr(request, name) for name in seen])
+        if key not in self._data:
+            try:
+                sequence = open_input(request, registry().get(MethodSpec, request.method))
+                self._data[key] = {
+                    "provenance": data_fingerprint(sequence.provenance()),
+                    "camera": sequence.camera.to_dict(),
+                    "frames": len(sequence),
+                }
+            except UsageError:
+                raise
+            except PanobenchError as error:
+                self._data[key] = error
+        found = self._data[key]
+        if isinstance(found, PanobenchError):
+            raise found
+        return found
+
+    def _code_of(self, request: RunRequest, spec: MethodSpec) -> str:
+        known = registry()
+        depth = (request.depth or DEFAULT_DEPTH).partition(":")[0]
+        used: list[Spec] = [spec, known.get(DatasetSpec, request.dataset), *known.specs(MetricSpec).values()]
+        used += [s for s in known.specs(CameraSpec).values() if s.name in (*spec.cameras, request.camera)]
+        used += [s for s in known.specs(DepthSpec).values() if s.name == depth]
+        paths = tuple(sorted({s.implementation for s in used} | ({spec.config} if spec.config else set())))
+        if paths not in self._code:
+            self._code[paths] = code_fingerprint(paths)
+        return self._code[paths]

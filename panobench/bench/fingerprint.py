@@ -1,0 +1,140 @@
+"""Content hashes of code and data: what a stored result depends on.
+
+The code of an object is its module and every module of the same top-level packages that it imports, directly or
+not, at the top or inside functions. Other packages count by their version.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+import platform
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+#: Packages whose version changes numbers.
+NUMERICAL_PACKAGES = ("numpy", "scipy", "numba", "torch", "opencv-python-headless", "evo")
+#: Parts of panobench that show or organise results and cannot change one.
+_NOT_RESULTS = ("panobench.cli", "panobench.report", "panobench.studies", "panobench.testing", "panobench.builtins")
+#: What a dataset says about where its files are is not content.
+_PLACES = {"root", "path", "folder", "cache", "cached"}
+
+
+def digest(value: Any) -> str:
+    """SHA-256 of plain values, independent of the order of keys."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def code_fingerprint(implementations: Iterable[str]) -> str:
+    """Hash of the source behind "module:Name" implementations, and of panobench's runner.
+
+    A module without source (compiled, missing) counts by name and its distribution's version.
+    """
+    roots = {path.partition(":")[0] for path in implementations if path} | {"panobench.bench.runner"}
+    packages = {root.partition(".")[0] for root in roots} | {"panobench"}
+    modules: dict[str, str] = {}
+    waiting = sorted(roots)
+    while waiting:
+        name = waiting.pop()
+        if name in modules or name.partition(".")[0] not in packages or _is_not_results(name):
+            continue
+        source = _source(name)
+        modules[name] = source or _version_of(name)
+        waiting += _imports(name)
+    return digest(modules)
+
+
+def environment_fingerprint() -> dict[str, str]:
+    """Versions of Python and of the packages that compute."""
+    found = {"python": ".".join(platform.python_version_tuple()[:2])}
+    for name in NUMERICAL_PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def data_fingerprint(provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """A sequence's provenance without where its files are."""
+    return {k: _without_places(v) for k, v in provenance.items() if k not in _PLACES}
+
+
+def _without_places(value: Any) -> Any:
+    return data_fingerprint(value) if isinstance(value, Mapping) else value
+
+
+def _is_not_results(name: str) -> bool:
+    return any(name == prefix or name.startswith(prefix + ".") for prefix in _NOT_RESULTS)
+
+
+@cache
+def _spec(name: str) -> Any:
+    try:
+        return importlib.util.find_spec(name)
+    except (ImportError, ValueError, AttributeError):
+        return None
+
+
+def _is_package(name: str) -> bool:
+    spec = _spec(name)
+    return spec is not None and spec.submodule_search_locations is not None
+
+
+@cache
+def _source(name: str) -> str | None:
+    spec = _spec(name)
+    if spec is None or not spec.origin or not spec.origin.endswith(".py"):
+        return None
+    try:
+        return Path(spec.origin).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _version_of(name: str) -> str:
+    distributions = importlib.metadata.packages_distributions().get(name.partition(".")[0], ())
+    return " ".join(f"{d} {importlib.metadata.version(d)}" for d in sorted(set(distributions)))
+
+
+@cache
+def _imports(name: str) -> list[str]:
+    """Names of modules a module may import: those it names, and the packages around them."""
+    try:
+        tree = ast.parse(_source(name) or "")
+    except SyntaxError:
+        return []
+    package = name if _is_package(name) else name.rpartition(".")[0]
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parent = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*parent, *([base] if base else [])])
+            found.add(base)
+            # "from package import module" names a module too
+            found.update(f"{base}.{alias.name}" for alias in node.names if _spec_below(base, alias.name))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.update(_lazy_reference(node.value))
+    return sorted(f for f in found if f)
+
+
+def _spec_below(base: str, name: str) -> bool:
+    return name != "*" and _is_package(base) and _spec(f"{base}.{name}") is not None
+
+
+def _lazy_reference(text: str) -> set[str]:
+    """The module of a "package.module:Name" string, as specs write it."""
+    module, colon, name = text.partition(":")
+    if not colon or not name.isidentifier() or "." not in module:
+        return set()
+    return {module} if all(part.isidentifier() for part in module.split(".")) else set()

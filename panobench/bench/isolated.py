@@ -1,0 +1,163 @@
+"""A run in a process of its own, with limits: whatever the method does, it ends that run alone."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from panobench.bench.cells import Cell
+from panobench.bench.failure import tail, write_failure
+from panobench.bench.runfolder import LOG, RUN_JSON, read_run_json, write_json
+from panobench.bench.store import StoreError
+from panobench.bench.supervisor import Result
+from panobench.bench.worker import DISK_FULL
+from panobench.errors import InputError, PanobenchError
+from panobench.types import RunStatus
+
+#: Seconds a run has to write what it tracked when the suite is interrupted.
+GRACE_S = 20.0
+
+
+class InfrastructureError(PanobenchError):
+    """Not the method's failure: the process that watched over it was lost."""
+
+
+class Stopper:
+    """Lets another thread (or a signal handler) stop the runs that are going on."""
+
+    def __init__(self) -> None:
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self._lock = threading.Lock()
+        self.requested = False
+
+    def stop(self) -> None:
+        self.requested = True
+        for process in list(self._processes):
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGTERM)
+
+    @contextlib.contextmanager
+    def watching(self, process: subprocess.Popen[bytes]) -> Any:
+        with self._lock:
+            self._processes.add(process)
+        if self.requested:
+            self.stop()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._processes.discard(process)
+
+
+def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stopper | None = None) -> Path:
+    """Run a cell in an empty folder ``place`` and return the run folder below it; ``entry`` becomes "cell" in run.json.
+
+    Raises StoreError when the disk is full, InfrastructureError when the supervisor was lost.
+    """
+    stopper = stopper or Stopper()
+    out, job, supervised = place / "run", place / "cell.json", place / "job.json"
+    try:
+        job.write_text(json.dumps({"cell": cell.to_dict(), "entry": entry}), encoding="utf-8")
+        supervised.write_text(
+            json.dumps(
+                {
+                    "argv": [sys.executable, "-m", "panobench.bench.worker", str(job), str(out)],
+                    "output": str(place / "output.txt"),
+                    "result": str(place / "result.json"),
+                    "timeout_s": cell.limits.timeout_s,
+                    "memory_bytes": cell.limits.memory_bytes,
+                    "processes": cell.limits.processes,
+                    "grace_s": GRACE_S,
+                    "parent": os.getpid(),
+                }
+            ),
+            encoding="utf-8",
+        )
+        process = subprocess.Popen(
+            [sys.executable, "-m", "panobench.bench.supervisor", str(supervised)],
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    except OSError as error:
+        raise StoreError(f"{place}: cannot be written ({error.strerror})") from error
+    with stopper.watching(process):
+        process.wait()
+    result = _read_result(place / "result.json")
+    if result is None:
+        raise InfrastructureError(f"the supervisor of '{cell.label}' ended without a result ({process.returncode})")
+    if result.returncode == DISK_FULL:
+        raise StoreError(f"{place}: the disk is full; free some space and run the same command again")
+    return _finish(cell, entry, place, out, result)
+
+
+def _read_result(path: Path) -> Result | None:
+    try:
+        return Result(**json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def _finish(cell: Cell, entry: dict[str, Any], place: Path, out: Path, result: Result) -> Path:
+    """Complete the run folder the worker left, or make one that says why there is none."""
+    output = tail(place / "output.txt")
+    metering = {k: v for k, v in asdict(result).items() if k not in ("end", "returncode", "oom_kill")}
+    whole = result.end in ("exit", "stopped") and (out / RUN_JSON).is_file()
+    try:
+        if whole:
+            document = read_run_json(out)
+            document["isolation"] = metering
+            _replace_json(out / RUN_JSON, document)
+            if output.strip():
+                with (out / LOG).open("a", encoding="utf-8") as log:
+                    log.write("--- output of the process ---\n" + output)
+            return out
+        status, message = judge(result, cell)
+        part = next(place.glob(".run.*.part"), None)
+        log_text = "\n".join(t for t in (tail(part / LOG) if part else "", output) if t.strip())
+        timing = {"wall_s": result.wall_s, "peak_rss_bytes": result.peak_rss_bytes or None, "cpu_s": result.cpu_s}
+        shutil.rmtree(out, ignore_errors=True)
+        extra = {"cell": entry, "isolation": metering}
+        return write_failure(out, cell.request, status, message, log=log_text, timing=timing, extra=extra)
+    except (OSError, InputError) as error:
+        raise StoreError(f"{place}: cannot be written ({error})") from error
+
+
+def _replace_json(path: Path, document: dict[str, Any]) -> None:
+    part = path.with_suffix(".part")
+    write_json(part, document)
+    os.replace(part, path)
+
+
+def judge(result: Result, cell: Cell) -> tuple[RunStatus, str]:
+    """Status and message of a run that wrote no folder."""
+    limits = cell.limits
+    if result.end == "timeout":
+        return RunStatus.TIMEOUT, f"killed after {limits.timeout_s:g} s of wall-clock time"
+    if result.end == "out-of-memory":
+        return RunStatus.OUT_OF_MEMORY, f"killed when its processes held more than {limits.memory_gib:g} GiB"
+    if result.end == "processes":
+        return RunStatus.CRASHED, f"killed when it had more than {limits.processes:g} processes"
+    if result.end == "stopped":
+        return RunStatus.INTERRUPTED, "interrupted"
+    code = result.returncode or 0
+    if code == -signal.SIGKILL and result.oom_kill:
+        return RunStatus.OUT_OF_MEMORY, "killed by the system, which was out of memory"
+    if code < 0:
+        return RunStatus.CRASHED, f"its process died by signal {-code} ({_signal_name(-code)})"
+    return RunStatus.CRASHED, f"its process ended by itself with exit code {code}, before the run was complete"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return "unknown"

@@ -1,0 +1,214 @@
+"""Where a suite keeps its runs: one folder per cell, safe against kill -9, full disks and a second suite.
+
+Layout below the store's root:
+  runs/SLUG/          the cells' run folders, each renamed into place when it is complete
+  _quarantine/        run folders that could not be read, with the time they were found
+  _superseded/        results replaced by a newer one of the same cell (changed code or data, or a retry)
+  .locks/SLUG         held while a cell is being worked on; freed by the system when its process dies
+  .work/              cells being worked on; whatever no living process holds is swept
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from panobench.bench.cells import Cell, Planned
+from panobench.bench.runfolder import RUN_JSON, read_run_json
+from panobench.errors import InputError, PanobenchError
+
+RUNS, QUARANTINE, SUPERSEDED, LOCKS, WORK = "runs", "_quarantine", "_superseded", ".locks", ".work"
+#: Keep that many replaced results of one cell.
+_KEEP = 3
+
+
+class StoreError(PanobenchError):
+    """The store cannot be written: a full disk, missing permission. Nothing finished is lost."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A readable run folder of the store; ``stamp`` tells it from another one in the same place."""
+
+    folder: Path
+    document: dict[str, Any]
+    stamp: tuple[int, int] = (0, 0)
+
+    @property
+    def key(self) -> str:
+        return str(_cell_entry(self.document).get("key", ""))
+
+    @property
+    def status(self) -> str:
+        return str(self.document["status"])
+
+    @property
+    def limits(self) -> Mapping[str, Any]:
+        limits = _cell_entry(self.document).get("limits")
+        return limits if isinstance(limits, Mapping) else {}
+
+
+def _stamp(folder: Path) -> tuple[int, int]:
+    try:
+        about = (folder / RUN_JSON).stat()
+    except OSError:
+        return 0, 0
+    return about.st_ino, about.st_mtime_ns
+
+
+def _cell_entry(document: Mapping[str, Any]) -> Mapping[str, Any]:
+    entry = document.get("cell")
+    return entry if isinstance(entry, Mapping) else {}
+
+
+@dataclass(frozen=True)
+class Quarantined:
+    """A run folder that was moved away because it could not be used."""
+
+    folder: Path
+    reason: str
+
+
+class Store:
+    """All operations name a cell by its slug and are safe to call from several processes."""
+
+    def __init__(self, root: Path, create: bool = True) -> None:
+        """Raises StoreError when the folder cannot be made, InputError when it is no store and ``create`` is False."""
+        self.root = Path(os.path.abspath(root))
+        if create:
+            with storing(self.root):
+                for name in (RUNS, LOCKS, WORK):
+                    (self.root / name).mkdir(parents=True, exist_ok=True)
+        elif not (self.root / RUNS).is_dir():
+            raise InputError("not a suite's store: it has no runs/", self.root)
+
+    def folder(self, cell: Cell) -> Path:
+        return self.root / RUNS / cell.slug
+
+    def find(self, cell: Cell) -> Stored | None:
+        """The cell's stored result. Raises InputError when there is one that cannot be read."""
+        folder = self.folder(cell)
+        if not folder.exists():
+            return None
+        stamp = _stamp(folder)
+        document = read_run_json(folder)
+        identity = _cell_entry(document).get("identity")
+        if identity != cell.identity:
+            raise InputError("it belongs to another cell than its folder's name says", folder / "run.json")
+        return Stored(folder, document, stamp)
+
+    def check(self, cell: Cell) -> tuple[Stored | None, Quarantined | None]:
+        """The stored result; a damaged one is moved to the quarantine and reported."""
+        try:
+            return self.find(cell), None
+        except InputError as error:
+            return None, self.quarantine(self.folder(cell), str(error))
+
+    def runs(self) -> tuple[list[Stored], list[Quarantined]]:
+        """Every result in the store; damaged ones are moved to the quarantine and reported."""
+        found, damaged = [], []
+        for folder in sorted(p for p in (self.root / RUNS).iterdir() if p.is_dir() and not p.name.startswith(".")):
+            try:
+                found.append(Stored(folder, read_run_json(folder)))
+            except InputError as error:
+                damaged.append(self.quarantine(folder, str(error)))
+        return found, damaged
+
+    def quarantine(self, folder: Path, reason: str) -> Quarantined:
+        """Move a damaged folder away, with the reason beside it."""
+        target = self._aside(QUARANTINE, folder.name)
+        with storing(self.root):
+            os.rename(folder, target)
+            (target / "quarantine.txt").write_text(reason + "\n", encoding="utf-8")
+        return Quarantined(target, reason)
+
+    def quarantined(self) -> list[Quarantined]:
+        """What lies in the quarantine."""
+        found = []
+        for folder in sorted((self.root / QUARANTINE).glob("*")):
+            note = folder / "quarantine.txt"
+            reason = note.read_text(encoding="utf-8").strip() if note.is_file() else "no reason recorded"
+            found.append(Quarantined(folder, reason))
+        return found
+
+    @contextlib.contextmanager
+    def lock(self, cell: Cell, wait: bool = False) -> Iterator[bool]:
+        """Hold the cell's lock; yields False, holding nothing, when another process has it and ``wait`` is False."""
+        with storing(self.root):
+            handle = os.open(self.root / LOCKS / cell.slug, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                yield False
+                return
+            yield True
+        finally:
+            os.close(handle)
+
+    @contextlib.contextmanager
+    def workplace(self, cell: Cell) -> Iterator[Path]:
+        """An empty folder for the cell's worker, removed afterwards. Hold the cell's lock."""
+        place = self.root / WORK / cell.slug
+        with storing(self.root):
+            shutil.rmtree(place, ignore_errors=True)  # of a process that was killed
+            place.mkdir(parents=True)
+        try:
+            yield place
+        finally:
+            shutil.rmtree(place, ignore_errors=True)
+
+    def put(self, planned: Planned, folder: Path) -> Stored:
+        """Move a complete run folder (in the store's file system) into the cell's place. Hold the cell's lock."""
+        target = self.folder(planned.cell)
+        document = read_run_json(folder)
+        with storing(self.root):
+            if target.exists():
+                os.rename(target, self._aside(SUPERSEDED, target.name))
+                self._forget_old(target.name)
+            os.rename(folder, target)
+        return Stored(target, document, _stamp(target))
+
+    def _aside(self, kind: str, name: str) -> Path:
+        """A free folder name below _quarantine or _superseded."""
+        with storing(self.root):
+            (self.root / kind).mkdir(exist_ok=True)
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        target, number = self.root / kind / f"{name}.{stamp}", 1
+        while target.exists():
+            number += 1
+            target = self.root / kind / f"{name}.{stamp}-{number}"
+        return target
+
+    def _forget_old(self, name: str) -> None:
+        old = sorted((self.root / SUPERSEDED).glob(f"{name}.*"), key=lambda p: p.stat().st_mtime)
+        for folder in old[:-_KEEP]:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether an error, or what caused it, is that the disk or the quota is full."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+@contextlib.contextmanager
+def storing(root: Path) -> Iterator[None]:
+    """Turn failures to write into StoreError."""
+    try:
+        yield
+    except OSError as error:
+        if is_disk_full(error):
+            raise StoreError(f"{root}: the disk is full; free some space and run the same command again") from error
+        raise StoreError(f"{root}: cannot be written ({error.strerror or error})") from error

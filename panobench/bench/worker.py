@@ -1,0 +1,49 @@
+"""The process in which an isolated run happens: ``python -m panobench.bench.worker CELL.json OUT``.
+
+Writes a run folder OUT, also for what the user can mend (then without frames). Exit codes: 0 a run folder is there,
+75 the disk is full; anything else is a crash.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import json
+import sys
+import traceback
+from pathlib import Path
+
+from panobench.bench.cells import Cell
+from panobench.bench.failure import write_failure
+from panobench.bench.runner import execute
+from panobench.bench.store import is_disk_full
+from panobench.errors import InputError, PanobenchError
+from panobench.types import RunStatus
+
+DISK_FULL = 75
+
+
+def work(job: Path, out: Path) -> int:
+    """Run the cell described in ``job``; returns the exit code."""
+    values = json.loads(job.read_text(encoding="utf-8"))
+    cell = Cell.from_dict(values["cell"])
+    extra = {"cell": values["entry"]}
+    try:
+        try:
+            execute(cell.request, out, extra=extra)
+        except PanobenchError as error:
+            if is_disk_full(error):
+                return DISK_FULL
+            # As in planning: data that cannot be used are as much in the way as a missing package.
+            status = RunStatus.UNAVAILABLE if isinstance(error, InputError) else RunStatus(error.run_status)
+            write_failure(out, cell.request, status, str(error), log=str(error), extra=extra)
+    except OSError as error:
+        if not is_disk_full(error):
+            raise
+        traceback.print_exc()
+        return DISK_FULL
+    return 0
+
+
+if __name__ == "__main__":
+    faulthandler.enable()
+    sys.exit(work(Path(sys.argv[1]), Path(sys.argv[2])))

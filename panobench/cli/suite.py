@@ -1,0 +1,124 @@
+"""`panobench suite run FILE --out STORE` and `panobench suite status STORE`.
+
+Exit codes: 0 every chosen cell is ok, 1 some ended otherwise, 2 bad input or a store that cannot be written,
+130 interrupted. The same command again continues.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(no_args_is_help=True, help="Run a matrix of methods, cameras, datasets and seeds.")
+
+
+@app.command()
+def run(
+    file: Annotated[Path, typer.Argument(help="The suite: a YAML file.")],
+    out: Annotated[Path, typer.Option(help="The store: where the runs are kept, and found again.")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would run and why, and run nothing.")] = False,
+    only: Annotated[list[str] | None, typer.Option(help="Only cells whose label matches; repeatable.")] = None,
+    retry: Annotated[
+        list[str] | None, typer.Option(help="Run again what ended so: failed, or a status; repeatable.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="Cells run at the same time; they share the machine's cores.")] = 1,
+    executor: Annotated[str, typer.Option(help="local or dask.")] = "local",
+    scheduler: Annotated[str | None, typer.Option(help="Address of a dask scheduler, tcp://...")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No table.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON when done.")] = False,
+) -> None:
+    """Run a suite; the same command again continues or amends it."""
+    from panobench.bench.store import Store
+    from panobench.bench.suite import SuiteRunner, choose, make_plan, parse_retry
+    from panobench.bench.suite_file import read_suite
+    from panobench.errors import UnknownNameError, UsageError
+
+    if jobs < 1:
+        raise UsageError(f"--jobs {jobs}: must be at least 1")
+    if executor not in ("local", "dask"):
+        raise UnknownNameError("executor", executor, ("local", "dask"))
+    if scheduler and executor != "dask":
+        raise UsageError("--scheduler is for --executor dask")
+    again = parse_retry(retry or ())
+    suite = read_suite(file)
+    cells = choose(suite.cells, only or ())
+    store = Store(out, create=not dry_run or not out.exists())
+    plan = make_plan(cells, store, again)
+    for note in [*suite.notes, *(f"{q.reason}; moved to {q.folder}" for q in plan.quarantined)]:
+        typer.echo(f"panobench: warning: {note}", err=True)
+    if dry_run:
+        print_rows([_row(r.planned.cell.label, r.stored, r.reason) for r in plan.rows], as_json)
+        return
+    from panobench.cli.suite_table import SuiteTable
+
+    with SuiteTable(suite.name, plan, show=not (quiet or as_json)) as table:
+        runner = SuiteRunner(store, suite.name, table)
+        if executor == "dask":
+            from panobench.bench.distributed import DaskCompute
+
+            with DaskCompute(scheduler, jobs) as compute:
+                runner.compute = compute
+                runner.run(plan, compute.parallel)
+        else:
+            runner.run(plan, jobs)
+    _conclude(cells, store, as_json, quiet)
+
+
+def _conclude(cells: list[Any], store: Any, as_json: bool, quiet: bool) -> None:
+    from panobench.bench.suite import counts
+
+    rows = [_row(cell.label, store.check(cell)[0], "") for cell in cells]
+    if as_json:
+        print_rows(rows, True)
+    elif not quiet:
+        print(", ".join(f"{number} {status}" for status, number in counts(rows).items()) + f"; runs in {store.root}")
+    if any(row["status"] != "ok" for row in rows):
+        raise typer.Exit(1)
+
+
+@app.command()
+def status(
+    store: Annotated[Path, typer.Argument(help="A suite's store.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Show every result in a store, and what is in its quarantine."""
+    from panobench.bench.store import Store
+
+    found, _ = (where := Store(store, create=False)).runs()
+    rows = [_row(s.document.get("cell", {}).get("label", s.folder.name), s, "") for s in found]
+    rows += [_row(q.folder.name, None, q.reason) | {"status": "quarantined"} for q in where.quarantined()]
+    print_rows(rows, as_json)
+
+
+def _row(label: str, stored: Any, reason: str) -> dict[str, Any]:
+    document = stored.document if stored else {}
+    metrics, timing = document.get("metrics", {}), document.get("timing", {})
+    return {
+        "cell": label,
+        "status": stored.status if stored else "not run",
+        "tracked": metrics.get("tracked"),
+        "ate_rmse_m": metrics.get("ate_rmse_m"),
+        "psnr_db": metrics.get("psnr_db"),
+        "fps": timing.get("fps"),
+        "message": document.get("message", ""),
+        "to_do": reason,
+        "folder": str(stored.folder) if stored else None,
+    }
+
+
+def print_rows(rows: list[dict[str, Any]], as_json: bool) -> None:
+    """Rows as JSON, or as one line each."""
+    if as_json:
+        print(json.dumps(rows, indent=2))
+        return
+    width = max((len(r["cell"]) for r in rows), default=0)
+    for r in rows:
+        numbers = [f"{r['tracked']:.0%}" if isinstance(r["tracked"], float) else ""]
+        numbers += [f"{1e3 * r['ate_rmse_m']:.2f} mm" if isinstance(r["ate_rmse_m"], float) else ""]
+        numbers += [f"{r['fps']:.1f} fps" if isinstance(r["fps"], float) else ""]
+        note = f"to do: {r['to_do']}" if r["to_do"] and r["status"] != "quarantined" else r["message"] or r["to_do"]
+        line = f"{r['cell']:{width}}  {r['status']:13} {numbers[0]:>5} {numbers[1]:>11} {numbers[2]:>10}  {note}"
+        print(line.rstrip())
