@@ -42,4 +42,43 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "panobench.datasets.rooms.dataset:RoomsDataset",
         needs_root=False,
     ),
+    DatasetSpec(
+        "tum-vi",
+        "fisheye camera, IMU and motion capture, handheld",
+        "panobench.datasets.tum_vi:TumVi",
+        publisher="Schubert et al., TUM-VI (IROS 2018), Technical University of Munich",
+        layout="SEQUENCE/mav0/cam0/{data.csv,data/*.png}, SEQUENCE/dso/camchain.yaml, optional mav0/imu0/data.csv, "
+        "mav0/mocap0/data.csv",
+    ),
+    DatasetSpec(
+        "360vo",
+        "synthetic panoramas of streets with ground truth (left-handed)",
+        "panobench.datasets.vo360:Vo360",
+        publisher="Huang and Yeung, 360VO (ICRA 2022), HKUST",
+        layout="SEQUENCE/images/*.{png,jpg} (2:1), SEQUENCE/groundtruth.txt with rows 'frame_id image_name x y z qx qy "
+        "qz qw', x right, y up, z forward",
+    ),
+    DatasetSpec(
+        "360loc",
+        "panoramas of four places with poses, for localisation",
+        "panobench.datasets.loc360:Loc360",
+        publisher="Huang et al., 360Loc (CVPR 2024), HKUST",
+        layout="PLACE/{mapping,query_360}/SEQUENCE/image/*.jpg with camera_pose.json beside image/",
+    ),
+    DatasetSpec(
+        "omniblender",
+        "synthetic 360 scenes: OmniBlender and OB3D",
+        "panobench.datasets.omniblender:OmniBlender",
+        publisher="Choi et al., EgoNeRF (CVPR 2023); Ito et al., OB3D (2025)",
+        layout="SCENE/images/*.png and SCENE/transform.json (OmniBlender), or SCENE/Egocentric/images/NNNNN_rgb.png "
+        "and cameras/NNNNN_cam.json (OB3D)",
+    ),
+    DatasetSpec(
+        "insta360-dual-fisheye",
+        "raw footage of two fisheye lenses, stitched with a given calibration",
+        "panobench.datasets.dual_fisheye:Insta360DualFisheye",
+        publisher="you",
+        layout="FILE.mp4 or FILE.insv with both circles in one frame, and dual_fisheye.yaml (or FILE.dual.yaml) beside "
+        "it: lenses: two of {x, y, camera, yaw_pitch_roll_deg}, blend_deg",
+    ),
 )

@@ -116,11 +116,16 @@ def check_times(times: Array, path: Path, lines: list[int] | None = None) -> Non
         i = int(late[0]) + 1
         line, frame = where(i)
         raise DatasetError(
-            f"time {times[i]:.9g} s is not later than the one before ({times[i - 1]:.9g} s)",
+            f"time {_seconds(times[i])} s is not later than the one before ({_seconds(times[i - 1])} s)",
             path,
             line=line,
             frame=frame,
         )
+
+
+def _seconds(time: float) -> str:
+    """A time without trailing zeros, to the nanosecond."""
+    return f"{time:.9f}".rstrip("0").rstrip(".")
 
 
 def poses_from_rows(positions: Array, quaternions: Array, path: Path, lines: list[int]) -> Array:

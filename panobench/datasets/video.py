@@ -21,7 +21,7 @@ from panobench.datasets.locate import choose_sequence
 from panobench.datasets.synpano import panorama_camera
 from panobench.errors import DatasetError
 
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".360")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".360", ".insv")
 #: Gaps up to this many frames are crossed by decoding on, which is exact and often faster than seeking.
 _DECODE_AHEAD = 48
 #: A container's frame count may be a little too high; a file that ends earlier than this is truncated.

@@ -1,0 +1,186 @@
+"""Raw footage of a dual-fisheye camera (two circles in one frame), presented as panoramas.
+
+``dual_fisheye.yaml`` beside the video, or ``NAME.dual.yaml`` for one of several, describes both lenses:
+
+    blend_deg: 6                     # width of the zone around the rim in which the lenses are mixed
+    lenses:
+      - x: 0                         # where the lens's picture starts in the frame, pixels
+        y: 0
+        camera: {model: fisheye, width: 960, height: 960, fx: ..., ...}      # or the name of a calibration file
+        yaw_pitch_roll_deg: [0, 0, 0]                                        # or R_rig_lens: 3x3
+      - {x: 960, y: 0, camera: ..., yaw_pitch_roll_deg: [180, 0, 0]}
+
+The lenses are taken to have one centre: nearer than a few metres the rim shows their distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.cameras.calibration import read_calibration
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.factory import camera_from_dict, parse_camera_option
+from panobench.cameras.reproject import Reprojector
+from panobench.cameras.views import look_rotation
+from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.checksums import files_provenance
+from panobench.datasets.locate import choose_sequence
+from panobench.datasets.video import VideoReader, video_files
+from panobench.errors import CalibrationError, DatasetError, UsageError
+
+Array = NDArray[np.float64]
+_KEYS = {"x", "y", "camera", "yaw_pitch_roll_deg", "R_rig_lens"}
+
+
+@dataclass(frozen=True)
+class Lens:
+    """One lens: its camera, the corner of its picture in the frame (pixels) and its rotation into the rig's axes."""
+
+    camera: Camera
+    x: int
+    y: int
+    R_rig_lens: Array
+
+
+@dataclass(frozen=True)
+class DualFisheye:
+    """Both lenses, and the full width of the zone in which they are mixed, degrees."""
+
+    lenses: tuple[Lens, ...]
+    blend_deg: float
+
+
+def read_dual_fisheye(path: Path) -> DualFisheye:
+    """Parse a dual_fisheye.yaml. Raises CalibrationError naming the file and what is wrong."""
+    import yaml
+
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CalibrationError(
+            "the calibration of the two lenses is missing; see `panobench list datasets`", path
+        ) from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        line = getattr(getattr(error, "problem_mark", None), "line", None)
+        raise CalibrationError("the file is not YAML", path, line=None if line is None else line + 1) from None
+    lenses = values.get("lenses") if isinstance(values, dict) else None
+    if not isinstance(lenses, list) or len(lenses) != 2:
+        raise CalibrationError("expected 'lenses', a list of two", path)
+    blend = values.get("blend_deg", 6.0)
+    if not isinstance(blend, (int, float)) or not 0 < blend <= 60:
+        raise CalibrationError(f"'blend_deg' must lie in (0, 60], not {blend!r}", path)
+    return DualFisheye(tuple(_lens(v, k, path) for k, v in enumerate(lenses)), float(blend))
+
+
+def _lens(values: Any, k: int, path: Path) -> Lens:
+    if not isinstance(values, dict) or "camera" not in values:
+        raise CalibrationError(f"lens {k} has no 'camera'", path)
+    unknown = sorted(set(map(str, values)) - _KEYS)
+    if unknown:
+        raise CalibrationError(f"lens {k}: unknown key '{unknown[0]}'; known: {', '.join(sorted(_KEYS))}", path)
+    camera = values["camera"]
+    try:
+        model = read_calibration(path.parent / camera) if isinstance(camera, str) else camera_from_dict(camera)
+    except CalibrationError as error:
+        raise CalibrationError(f"lens {k}: {error}", path) from None
+    try:
+        if "R_rig_lens" in values:
+            R = np.array(values["R_rig_lens"], dtype=np.float64)
+        else:
+            yaw, pitch, roll = (float(v) for v in values.get("yaw_pitch_roll_deg", (180.0 * k, 0, 0)))
+            R = look_rotation(yaw, pitch, roll).T
+        x, y = int(values.get("x", 0)), int(values.get("y", 0))
+    except (TypeError, ValueError) as error:
+        raise CalibrationError(f"lens {k}: {error}", path) from None
+    if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
+        raise CalibrationError(f"lens {k}: 'R_rig_lens' is not a rotation", path)
+    return Lens(model, x, y, R)
+
+
+class Stitcher:
+    """Frames (H, W, 3) with two circles -> ERP panoramas. Mixing weights are linear in the angle from each axis."""
+
+    def __init__(self, rig: DualFisheye, camera: ErpCamera) -> None:
+        self.rig = rig
+        self._reprojectors = [Reprojector(lens.camera, camera, lens.R_rig_lens) for lens in rig.lenses]
+        half = rig.blend_deg / 2
+        weights = []
+        for lens, reprojector in zip(rig.lenses, self._reprojectors):
+            angle = np.degrees(np.arccos(np.clip(camera.rays() @ lens.R_rig_lens[:, 2], -1, 1)))
+            ramp = np.clip((90 + half - angle) / (2 * half), 0, 1)
+            # Where only one lens sees, it counts alone, however far from its axis.
+            weights.append(np.where(reprojector.valid, np.maximum(ramp, 1e-6), 0.0))
+        total = np.sum(weights, axis=0)
+        self.valid = total > 0
+        self._weights = [(w / np.where(self.valid, total, 1.0)).astype(np.float32)[..., None] for w in weights]
+
+    def image(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The panorama; black where no lens sees."""
+        out = np.zeros((*self.valid.shape, 3), np.float32)
+        for lens, reprojector, weight in zip(self.rig.lenses, self._reprojectors, self._weights):
+            c = lens.camera
+            crop = np.ascontiguousarray(frame[lens.y : lens.y + c.height, lens.x : lens.x + c.width])
+            out += weight * reprojector.image(crop)
+        return np.asarray(np.rint(out), dtype=np.uint8)
+
+
+class DualFisheyeSequence(Sequence):
+    """A video of two circles as panoramas of ``width`` (None: the lenses' resolution)."""
+
+    def __init__(self, path: Path, rig: DualFisheye, calibration: Path, name: str, width: int | None) -> None:
+        self.reader = VideoReader(path)
+        for k, lens in enumerate(rig.lenses):
+            right, bottom = lens.x + lens.camera.width, lens.y + lens.camera.height
+            if lens.x < 0 or lens.y < 0 or right > self.reader.width or bottom > self.reader.height:
+                raise CalibrationError(
+                    f"lens {k} reaches to ({right}, {bottom}), the frame is {self.reader.width}x{self.reader.height}",
+                    calibration,
+                )
+        if width is not None and width % 2:
+            raise UsageError(f"--width {width}: a panorama's width must be even")
+        native = parse_camera_option("erp", rig.lenses[0].camera, width).camera
+        camera = ErpCamera(native.width, native.height)
+        self._stitcher = Stitcher(rig, camera)
+        self.camera = camera if self._stitcher.valid.all() else camera.with_mask(self._stitcher.valid)
+        self.name, self.dataset = name, "insta360-dual-fisheye"
+        self.times = np.arange(self.reader.count) / self.reader.rate
+        self._files = [path, calibration]
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self._stitcher.image(self.reader.read(range(len(self))[index]))
+
+    def provenance(self) -> dict[str, Any]:
+        return {
+            "dataset": self.dataset,
+            "sequence": self.name,
+            "root": str(self._files[0]),
+            "native_size": [self.reader.width, self.reader.height],
+            "rate_hz": self.reader.rate,
+            "blend_deg": self._stitcher.rig.blend_deg,
+            **files_provenance(self._files),
+        }
+
+
+class Insta360DualFisheye(Dataset):
+    """``root`` is a video, or a folder of videos, with the calibration beside it."""
+
+    name = "insta360-dual-fisheye"
+
+    def sequences(self) -> list[str]:
+        if self.root is None:
+            raise DatasetError(f"dataset '{self.name}' needs --root FILE or FOLDER")
+        return list(video_files(self.root))
+
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+        name = choose_sequence(self.name, sequence, self.sequences())
+        assert self.root is not None
+        path = video_files(self.root)[name]
+        own = path.with_name(f"{path.stem}.dual.yaml")
+        calibration = own if own.is_file() else path.with_name("dual_fisheye.yaml")
+        return DualFisheyeSequence(path, read_dual_fisheye(calibration), calibration, name, width)

@@ -1,0 +1,124 @@
+"""TUM-VI: fisheye images, IMU and motion capture in EuRoC's layout.
+
+Schubert et al., "The TUM VI Benchmark for Evaluating Visual-Inertial Odometry" (IROS 2018). ``SEQUENCE/mav0/cam0/``
+(data.csv, data/*.png), ``mav0/imu0/data.csv``, ``mav0/mocap0/data.csv`` (poses of the IMU) and a Kalibr
+``dso/camchain.yaml`` (or ``camchain.yaml``, ``camera.yaml`` in SEQUENCE). Camera 0 is read; its poses are the IMU's
+times the extrinsics, interpolated to the image times.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.calibration import Calibration, inspect_calibration
+from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.image_sequence import ImageSequence, ImageSource
+from panobench.datasets.images import read_mask
+from panobench.datasets.locate import choose_sequence
+from panobench.datasets.trajectory_io import check_times, parse_floats, read_euroc_csv, read_rows, read_table
+from panobench.datasets.trajectory_match import interpolate_poses
+from panobench.errors import CalibrationError, DatasetError
+from panobench.types import Imu, Trajectory
+
+_CALIBRATIONS = ("dso/camchain.yaml", "camchain.yaml", "mav0/camchain.yaml", "camera.yaml")
+_TRUTHS = ("mav0/mocap0/data.csv", "mav0/state_groundtruth_estimate0/data.csv")
+#: Poses are not interpolated across a longer hole in the motion capture.
+MAX_GAP_S = 0.1
+
+
+class TumVi(Dataset):
+    """Sequences below ``root``, or ``root`` itself is one."""
+
+    name = "tum-vi"
+
+    def _found(self) -> dict[str, Path]:
+        if self.root is None:
+            raise DatasetError("dataset 'tum-vi' needs --root PATH")
+        if (self.root / "mav0").is_dir():
+            return {self.root.resolve().name: self.root}
+        found = {p.parent.name: p.parent for p in sorted(self.root.glob("*/mav0"))}
+        if not found:
+            raise DatasetError("no TUM-VI sequence here: SEQUENCE/mav0/cam0/data.csv is expected", self.root)
+        return found
+
+    def sequences(self) -> list[str]:
+        return list(self._found())
+
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+        found = self._found()
+        name = choose_sequence(self.name, sequence, found)
+        return ImageSequence(_read(found[name], name), width)
+
+
+def _read(folder: Path, name: str) -> ImageSource:
+    calibration, calibration_path = _calibration(folder)
+    times, images = _image_list(folder / "mav0/cam0")
+    native = calibration.camera
+    mask = folder / "mask.png"
+    if mask.is_file():
+        native = native.with_mask(read_mask(mask, (native.width, native.height)))
+    truth_path = next((folder / p for p in _TRUTHS if (folder / p).is_file()), None)
+    imu_path = folder / "mav0/imu0/data.csv"
+    imu = _read_imu(imu_path, calibration.time_offset_s or 0.0) if imu_path.is_file() else None
+    inputs = [p for p in (calibration_path, truth_path, imu_path) if p is not None and p.is_file()]
+    return ImageSource(
+        dataset="tum-vi",
+        name=name,
+        root=folder,
+        native=native,
+        times=times,
+        images=images,
+        groundtruth=None if truth_path is None else _camera_truth(truth_path, times, calibration, calibration_path),
+        imu=imu,
+        inputs=tuple(inputs),
+        notes={"evaluated_frame": "camera 0", "calibration_notes": calibration.notes},
+        body_T_cam=calibration.body_T_cam,
+    )
+
+
+def _calibration(folder: Path) -> tuple[Calibration, Path]:
+    path = next((folder / p for p in _CALIBRATIONS if (folder / p).is_file()), None)
+    if path is None:
+        raise DatasetError(f"no calibration: one of {', '.join(_CALIBRATIONS)} is expected", folder)
+    return inspect_calibration(path), path
+
+
+def _image_list(cam: Path) -> tuple[NDArray[np.float64], list[Path]]:
+    """Times in seconds and image files of data.csv (time in ns, file name)."""
+    path = cam / "data.csv"
+    stamps, images, lines = [], [], []
+    for row in read_rows(path, delimiter=","):
+        if len(row.fields) != 2 or "/" in row.fields[1]:
+            raise DatasetError("expected: time in ns, file name", path, line=row.line)
+        stamps += parse_floats(row, row.fields[:1], path, "time in ns, file name")
+        image = cam / "data" / row.fields[1]
+        if not image.is_file():
+            raise DatasetError(f"image '{row.fields[1]}' is missing", path, line=row.line)
+        images.append(image)
+        lines.append(row.line)
+    if not images:
+        raise DatasetError("the sequence is empty: the file has no row", path)
+    times = np.array(stamps) * 1e-9
+    check_times(times, path, lines)
+    return times, images
+
+
+def _read_imu(path: Path, time_offset_s: float) -> Imu:
+    expected = "time in ns, wx, wy, wz, ax, ay, az"
+    table, lines = read_table(path, 7, expected, delimiter=",", header=True)
+    times = table[:, 0] * 1e-9 - time_offset_s
+    check_times(times, path, lines)
+    return Imu(times, table[:, 1:4].copy(), table[:, 4:7].copy())
+
+
+def _camera_truth(path: Path, times: NDArray[np.float64], calibration: Calibration, source: Path) -> Trajectory | None:
+    if calibration.body_T_cam is None:
+        raise CalibrationError(
+            "the camera's place on the IMU (T_cam_imu) is missing; the ground truth needs it", source
+        )
+    body = read_euroc_csv(path)
+    found = interpolate_poses(Trajectory(body.times, body.T_wc @ calibration.body_T_cam), times, max_gap=MAX_GAP_S)
+    return found if len(found) else None
