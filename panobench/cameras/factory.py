@@ -91,9 +91,8 @@ def parse_camera_option(
 
 def pixels_per_radian(camera: Camera) -> float:
     """Angular resolution in the middle of what the camera sees: 1 / sqrt(median solid angle of a pixel)."""
-    small = camera.with_mask(None)
-    if small.width > 256:
-        small = small.scaled(max(1, 256 // small.width_step) * small.width_step)
+    step = camera.width_step
+    small = camera if camera.width <= 256 else camera.scaled(max(1, 256 // step) * step)
     area = small.solid_angle()
     return float(camera.width / small.width / np.sqrt(np.median(area[area > 0])))
 

@@ -10,6 +10,8 @@ from panobench.cameras.base import Array, Camera
 
 #: Source pixels between neighbouring samples above which aliasing shows.
 _MAX_STEP = 1.6
+#: ``cv2.remap`` addresses pixels with 16 bits.
+_MAX_REMAP_SIDE = 32767
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,10 @@ def stretch(source: Camera, target: Camera, R_target_source: Array, samples: int
     v = (np.arange(min(samples, target.height)) + 0.5) * max(1.0, target.height / samples)
     centre = np.stack(np.meshgrid(u, v), axis=-1)
     rays = target.unproject(centre) @ R_target_source
-    _, seen = source.project(rays)
+    pixels, seen = source.project(rays)
+    if source.mask is not None:
+        column, row = (np.where(seen, pixels[..., i], 0).astype(np.intp) for i in (0, 1))
+        seen = seen & source.mask[row, column]
     J = source.jacobian(rays)
     if source.kind == "erp":
         J = J * np.stack([np.hypot(rays[..., 0], rays[..., 2]), np.ones(rays.shape[:-1])], axis=-1)[..., None]
@@ -57,4 +62,6 @@ def choose_sampling(source: Camera, target: Camera, R_target_source: Array) -> S
     grid = 2
     while largest / (shrink * grid) > _MAX_STEP and grid < 8:
         grid *= 2
+    while grid > 1 and grid * max(target.width, target.height) >= _MAX_REMAP_SIDE:
+        grid //= 2
     return Sampling(shrink, grid)

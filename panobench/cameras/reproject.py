@@ -7,6 +7,7 @@ with OpenCV 5 four-channel float remapping is faster than fixed-point maps, and 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import cv2
@@ -16,14 +17,32 @@ from numpy.typing import ArrayLike, NDArray
 from panobench.cameras.base import Array, Camera
 from panobench.cameras.field_of_view import describe_view
 from panobench.cameras.footprint import Sampling, choose_sampling
+from panobench.cameras.seams import Seams, Window
 from panobench.cameras.views import rotated_poses
 from panobench.errors import CalibrationError, UnsupportedError
 
 #: Samples mapped at a time, to bound memory.
 _CHUNK = 1 << 18
+#: A map coordinate outside every image.
+_NOWHERE = -100.0
 Array32 = NDArray[np.float32]
 #: Neighbours whose depth differs by more than this share belong to another surface.
 _DEPTH_EDGE = 0.05
+
+
+@dataclass
+class _Maps:
+    """Columns and rows (H, W) in the ``window`` of the padded source image."""
+
+    x: Array32
+    y: Array32
+    seams: Seams
+    window: Window
+
+    def hide(self, pixels: NDArray[np.bool_], grid: int) -> None:
+        """Make target ``pixels`` (H, W) black."""
+        samples = np.repeat(np.repeat(pixels, grid, axis=0), grid, axis=1)
+        self.x[samples] = self.y[samples] = _NOWHERE
 
 
 class Reprojector:
@@ -49,12 +68,11 @@ class Reprojector:
         self.source, self.target, self.R_target_source = source, target, R
         self.sampling = choose_sampling(source, target, R) if antialias else Sampling()
         self._level = _shrunk(source, self.sampling.shrink)
-        self._seams = self._level.seams()
-        self._map_x, self._map_y, _ = self._sample_maps(self._level, self.sampling.grid)
-        self._depth_maps: tuple[Array32, Array32] | None = None
-        self._valid = self._find_valid()
-        hidden = ~np.repeat(np.repeat(self._valid, self.sampling.grid, axis=0), self.sampling.grid, axis=1)
-        self._map_x[hidden] = self._map_y[hidden] = -100
+        self._maps = self._sample_maps(self._level, self.sampling.grid)
+        self._depth_maps: _Maps | None = None
+        covered = self._remap(source.valid_mask().astype(np.float32))
+        self._valid = np.asarray((covered > 0.999) & target.valid_mask())
+        self._maps.hide(~self._valid, self.sampling.grid)
         if not self._valid.any():
             raise UnsupportedError(
                 f"the target view sees nothing of the source: the source ({source.kind}) covers "
@@ -70,14 +88,7 @@ class Reprojector:
     def image(self, image: NDArray[Any]) -> NDArray[Any]:
         """Source image (H, W) or (H, W, C), any of uint8, uint16, float32 -> target's size; 0 where not valid."""
         self._check(image, "image")
-        flat = image.ndim == 2 or image.shape[2] == 1
-        three = not flat and image.shape[2] == 3
-        work = image.reshape(image.shape[:2]) if flat else image
-        if three:  # four channels fill a SIMD register: twice as fast as three
-            work = cv2.cvtColor(image, cv2.COLOR_RGB2RGBA)
-        out = self._remap(work)
-        if three:
-            out = cv2.cvtColor(out, cv2.COLOR_RGBA2RGB)
+        out = self._remap(image)
         return out.reshape(*out.shape[:2], *image.shape[2:])
 
     def mask(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -94,11 +105,10 @@ class Reprojector:
         """
         self._check(depth, "depth")
         if self._depth_maps is None:
-            x, y, inside = self._sample_maps(self.source, 1)
-            x[~inside] = y[~inside] = 0
-            self._depth_maps = x, y
-        padded = self.source.seams().pad(np.asarray(depth, dtype=np.float32))
-        out = sample_depth(padded, *self._depth_maps, method)
+            self._depth_maps = self._sample_maps(self.source, 1)
+        maps = self._depth_maps
+        known = maps.seams.cut(np.asarray(depth, dtype=np.float32), maps.window)
+        out = sample_depth(known, np.maximum(maps.x, 0), np.maximum(maps.y, 0), method)
         out[~self.valid] = np.nan
         return out
 
@@ -107,24 +117,23 @@ class Reprojector:
         return rotated_poses(T_wc_source, self.R_target_source)
 
     def _remap(self, image: NDArray[Any]) -> NDArray[Any]:
-        level = self._level
+        """(H, W[, C]) -> (h, w[, C]); one channel loses its axis."""
+        level, maps = self._level, self._maps
         if (level.width, level.height) != (self.source.width, self.source.height):
             image = cv2.resize(image, (level.width, level.height), interpolation=cv2.INTER_AREA)
-        out = cv2.remap(
-            self._seams.pad(image), self._map_x, self._map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
-        )
+        image = maps.seams.cut(image, maps.window)
+        three = image.ndim == 3 and image.shape[2] == 3
+        if three:  # four channels fill a SIMD register: twice as fast as three
+            image = cv2.cvtColor(image, cv2.COLOR_RGB2RGBA)
+        out = cv2.remap(image, maps.x, maps.y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         for _ in range(self.sampling.grid.bit_length() - 1):
             out = cv2.resize(out, (out.shape[1] // 2, out.shape[0] // 2), interpolation=cv2.INTER_AREA)
-        return out
+        return cv2.cvtColor(out, cv2.COLOR_RGBA2RGB) if three else out
 
-    def _find_valid(self) -> NDArray[np.bool_]:
-        covered = self._remap(self.source.valid_mask().astype(np.float32))
-        return np.asarray((covered > 0.999) & self.target.valid_mask())
-
-    def _sample_maps(self, level: Camera, grid: int) -> tuple[Array32, Array32, NDArray[np.bool_]]:
-        """Maps (H grid, W grid) into the padded ``level`` image, and which samples see it; the others are far off."""
+    def _sample_maps(self, level: Camera, grid: int) -> _Maps:
+        """Where the ``grid`` x ``grid`` samples of each target pixel lie in ``level``'s image."""
         shape = (self.target.height * grid, self.target.width * grid)
-        map_x, map_y = np.full(shape, -100, np.float32), np.full(shape, -100, np.float32)
+        map_x, map_y = np.full(shape, _NOWHERE, np.float32), np.full(shape, _NOWHERE, np.float32)
         inside = np.zeros(shape, dtype=bool)
         seams = level.seams()
         u = (np.arange(shape[1]) + 0.5) / grid
@@ -135,7 +144,10 @@ class Reprojector:
             x, y = seams.locate(pixels[..., 0], pixels[..., 1])
             map_x[rows][ok], map_y[rows][ok] = x[ok], y[ok]
             inside[rows] = ok
-        return map_x, map_y, inside
+        window = seams.window(map_x, map_y, inside)
+        map_x[inside] -= window.x0
+        map_y[inside] -= window.y0
+        return _Maps(map_x, map_y, seams, window)
 
     def _check(self, array: NDArray[Any], what: str) -> None:
         expected = (self.source.height, self.source.width)

@@ -1,12 +1,12 @@
 """How pixels continue across an image's borders, so that interpolation neither bleeds nor breaks there.
 
-A ``Seams`` pads an image by what really lies beyond its borders and says where a pixel coordinate lands in the
-padded image. For most cameras nothing lies there and coordinates are clamped to the outermost pixel centres.
+A ``Seams`` says where a pixel coordinate lands in an imagined padded image, in which what really lies beyond the
+borders has been added, and cuts the part of it that is needed. For most cameras nothing lies beyond the borders.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,40 +17,79 @@ if TYPE_CHECKING:
     from panobench.cameras.cubemap import CubemapCamera
 
 Image = NDArray[Any]
+Array32 = NDArray[np.float32]
+
+
+class Window(NamedTuple):
+    """Columns x0..x1 and rows y0..y1 (ends excluded) of the padded image."""
+
+    x0: int
+    x1: int
+    y0: int
+    y1: int
 
 
 class Seams:
-    """The default: the image ends at its border."""
+    """The default: the image ends at its border, and nothing is padded."""
 
     def __init__(self, width: int, height: int) -> None:
         self.width, self.height = width, height
-
-    def pad(self, image: Image) -> Image:
-        """Image (H, W[, C]) -> padded image, same type."""
-        return image
 
     def locate(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Pixel coordinates (centres at k + 0.5) -> column and row in the padded image (centres at k)."""
         return np.clip(u - 0.5, 0, self.width - 1), np.clip(v - 0.5, 0, self.height - 1)
 
+    def window(self, x: Array32, y: Array32, used: NDArray[np.bool_]) -> Window:
+        """The part of the padded image that interpolation at the ``used`` positions needs; may move ``x`` by turns."""
+        if not used.any():
+            return Window(0, 1, 0, 1)
+        x0, y0 = int(np.floor(x[used].min())), int(np.floor(y[used].min()))
+        return Window(x0, int(np.ceil(x[used].max())) + 1, y0, int(np.ceil(y[used].max())) + 1)
+
+    def cut(self, image: Image, window: Window) -> Image:
+        """That part of the padded ``image`` (H, W[, C]); a view where no padding is in it."""
+        return image[window.y0 : window.y1, window.x0 : window.x1]
+
 
 class PanoramaSeams(Seams):
     """A full panorama: columns wrap around; beyond a pole lies the same row, half a turn away."""
 
-    def pad(self, image: Image) -> Image:
-        h, w = self.height, self.width
-        out = np.empty((h + 2, w + 2, *image.shape[2:]), image.dtype)
-        out[1:-1, 1:-1] = image
-        half = w // 2
-        for row, source in ((0, 0), (h + 1, h - 1)):
-            out[row, 1 : half + 1] = image[source, w - half :]
-            out[row, half + 1 : w + 1] = image[source, : w - half]
-        out[:, 0] = out[:, w]
-        out[:, w + 1] = out[:, 1]
-        return out
-
     def locate(self, u: Array, v: Array) -> tuple[Array, Array]:
         return u % self.width + 0.5, np.clip(v, 0, self.height) + 0.5
+
+    def window(self, x: Array32, y: Array32, used: NDArray[np.bool_]) -> Window:
+        """Columns start after the widest gap, so that a view across the seam does not need the whole panorama."""
+        if not used.any():
+            return Window(0, 1, 0, 1)
+        columns = np.flatnonzero(np.bincount(x[used].astype(np.intp) % self.width, minlength=self.width))
+        gaps = np.diff([*columns, columns[0] + self.width])
+        start = columns[(int(np.argmax(gaps)) + 1) % len(columns)]
+        x[used & (x < start)] += self.width
+        return super().window(x, y, used)
+
+    def cut(self, image: Image, window: Window) -> Image:
+        h, w = self.height, self.width
+        x0, x1, y0, y1 = window
+        if x0 >= 1 and x1 <= w + 1 and y0 >= 1 and y1 <= h + 1:
+            return image[y0 - 1 : y1 - 1, x0 - 1 : x1 - 1]
+        out = np.empty((y1 - y0, x1 - x0, *image.shape[2:]), image.dtype)
+        top, bottom = max(y0, 1), min(y1, h + 1)
+        _copy_turned(out[top - y0 : bottom - y0], image[top - 1 : bottom - 1], x0 - 1)
+        if y0 == 0:
+            _copy_turned(out[:1], image[:1], x0 - 1 + w // 2)
+        if y1 == h + 2:
+            _copy_turned(out[-1:], image[-1:], x0 - 1 + w // 2)
+        return out
+
+
+def _copy_turned(out: Image, image: Image, start: int) -> None:
+    """Fill ``out`` with the columns of ``image`` from ``start`` on, around the panorama."""
+    width, done = image.shape[1], 0
+    while done < out.shape[1]:
+        column = (start + done) % width
+        n = min(width - column, out.shape[1] - done)
+        out[:, done : done + n] = image[:, column : column + n]
+        done += n
 
 
 class CubemapSeams(Seams):
@@ -70,7 +109,10 @@ class CubemapSeams(Seams):
             pixels, _ = camera.project(q[frame] @ R)
             self._framed.append((pixels[:, 1].astype(np.intp), pixels[:, 0].astype(np.intp)))
 
-    def pad(self, image: Image) -> Image:
+    def cut(self, image: Image, window: Window) -> Image:
+        return super().cut(self._pad(image), window)
+
+    def _pad(self, image: Image) -> Image:
         n = self.height
         out = np.empty((n + 2, 6 * (n + 2), *image.shape[2:]), image.dtype)
         for face, (v, u) in enumerate(self._framed):
