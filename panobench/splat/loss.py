@@ -33,29 +33,42 @@ def pixel_weights(camera: Camera, weighting: Weighting = "cosine") -> F32:
 
 
 @njit(**PARALLEL)
-def _l1(planes, image, weights, gain, offset, gradient, sums):  # type: ignore[no-untyped-def]
+def _robust_l1(planes, image, weights, gain, offset, knee, gradient, sums):  # type: ignore[no-untyped-def]
     h, w = weights.shape
-    scale, g, o = np.float32(1 / 255), np.float32(np.exp(gain)), np.float32(offset)
+    scale, g, o, knee = np.float32(1 / 255), np.float32(np.exp(gain)), np.float32(offset), np.float32(knee)
     for y in prange(h):
         s, dg, do = 0.0, 0.0, 0.0
         for c in range(3):
             for x in range(w):
                 r = g * planes[c, y, x] + o - scale * image[y, x, c]
                 k = weights[y, x] * np.float32(1 / 3)
-                d = k if r > 0 else -k
+                a = abs(r)
+                if a < knee:  # quadratic inside, so that steps shrink near the optimum
+                    d = k * r / knee
+                    s += 0.5 * d * r
+                else:
+                    d = k if r > 0 else -k
+                    s += k * (a - 0.5 * knee)
                 gradient[c, y, x] = d * g
-                s += d * r
                 dg += d * g * planes[c, y, x]
                 do += d
         sums[y, 0], sums[y, 1], sums[y, 2] = s, dg, do
 
 
 def photometric_loss(
-    planes: F32, image: NDArray[np.uint8], weights: F32, gain: float = 0.0, offset: float = 0.0
+    planes: F32,
+    image: NDArray[np.uint8],
+    weights: F32,
+    gain: float = 0.0,
+    offset: float = 0.0,
+    knee: float = 0.0,
 ) -> tuple[float, F32, tuple[float, float]]:
-    """Loss, dL/dplanes (3, H, W) and dL/d(gain, offset) for a render (3, H, W) and an RGB image (H, W, 3)."""
+    """Loss, dL/dplanes (3, H, W) and dL/d(gain, offset) for a render (3, H, W) and an RGB image (H, W, 3).
+
+    Residuals below ``knee`` (0: plain L1) count quadratically, as in Huber's loss.
+    """
     gradient = np.empty_like(planes)
     sums = np.empty((planes.shape[1], 3))
-    _l1(planes, image, weights, gain, offset, gradient, sums)
+    _robust_l1(planes, image, weights, gain, offset, knee, gradient, sums)
     loss, d_gain, d_offset = sums.sum(axis=0)
     return float(loss), gradient, (float(d_gain), float(d_offset))

@@ -12,7 +12,7 @@ class PanogsConfig:
 
     # Rendering
     projection: Literal["auto", "sphere", "erp", "pinhole"] = "auto"
-    low_pass: float = 0.3
+    low_pass: float = 0.1
     # Tracking
     solver: Literal["gauss-newton", "adam"] = "gauss-newton"
     tracking_iterations: int = 15  # of solver "adam"
@@ -26,12 +26,12 @@ class PanogsConfig:
     keyframe_max_rel: float = 0.08
     keyframe_interval: int = 5
     # Gaussians
-    pixels_per_gaussian: float = 5.0
+    pixels_per_gaussian: float = 4.0
     insert_opacity: float = 0.5
     depth_guided: bool = True  # False: the "w/o DGIS" ablation
     flatten: float = 0.15
-    scale_factor: float = 0.6
-    initial_opacity: float = 0.8
+    scale_factor: float = 0.55
+    initial_opacity: float = 0.9
     # Mapping
     mapping_iterations: int = 30
     initial_iterations: int = 60
@@ -40,12 +40,15 @@ class PanogsConfig:
     refine_poses: bool = True
     pose_rate_rotation: float = 2e-4
     pose_rate_translation_rel: float = 2e-4
-    position_rate_rel: float = 1.6e-4
-    scale_rate: float = 5e-3
-    rotation_rate: float = 1e-3
-    opacity_rate: float = 0.05
-    colour_rate: float = 2.5e-3
-    isotropy: float = 10.0
+    position_rate_rel: float = 1e-3
+    scale_rate: float = 0.04
+    rotation_rate: float = 0.03
+    opacity_rate: float = 0.1
+    colour_rate: float = 0.02
+    loss_knee: float = 0.05
+    adam_beta1: float = 0.9
+    adam_beta2: float = 0.99
+    isotropy: float = 0.0
     densify: bool = True
     prune_opacity: float = 0.05
     final_iterations: int = 0
@@ -60,5 +63,14 @@ PAPER: dict[str, Any] = {
     "tracking_iterations": 15,
     "mapping_iterations": 30,
     "tracking_renders": 1,
+    "low_pass": 0.3,
+    "position_rate_rel": 1.6e-4,
+    "scale_rate": 1e-3,
+    "rotation_rate": 1e-3,
+    "opacity_rate": 0.05,
+    "colour_rate": 2.5e-3,
+    "loss_knee": 0.0,
+    "adam_beta2": 0.999,
+    "isotropy": 10.0,
 }
 PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER}

@@ -24,7 +24,7 @@ class Mapper:
         self.rng = np.random.default_rng(seed)
         self.weights = pixel_weights(camera, config.loss)
         self.map = GaussianMap.empty()
-        self.adam = GaussianAdam(0)
+        self.adam = GaussianAdam(0, config.adam_beta1, config.adam_beta2)
         self.born = np.zeros(0, np.int32)  # keyframe number at which each Gaussian was inserted
         self.window: list[View] = []
         self.keyframes: list[View] = []
@@ -109,7 +109,7 @@ class Mapper:
     def step(self, view: View, refine_pose: bool) -> float:
         """One render, one backward pass, one Adam step on what the view touched."""
         out = self.renderer.forward(self.map, view.T_wc)
-        loss, gradient, _ = photometric_loss(out.planes, view.image, self.weights, view.gain, view.offset)
+        loss, gradient, _ = photometric_loss(out.planes, view.image, self.weights, view.gain, view.offset, self.config.loss_knee)
         grads = self.renderer.backward(gradient, planar=True)
         isotropy = self.config.isotropy / max(3 * len(out.order), 1)
         z = self.median_depth
