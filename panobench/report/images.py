@@ -52,7 +52,7 @@ def plan(sets: Sequence[Sequence[Path]], budget: int = BUDGET) -> Plan:
     ``sets`` holds, per frame that could be shown at full generosity, the paths of its pictures; sets
     beyond a plan's frame count are dropped by the caller, so each set counts pictures of one run.
     """
-    samples = [paths[len(paths) // 2] for paths in sets if paths][:6]
+    samples = [paths[len(paths) // 2] for paths in sets if paths][:: max(1, len(sets) // 4)][:4]
     for frames, width, quality in LADDER:
         sizes = [len(p.uri) for s in samples if (p := encode_file(s, width, quality)) is not None]
         if not sizes:

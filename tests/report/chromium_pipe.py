@@ -7,6 +7,7 @@ Messages are JSON ended by a NUL byte, written to the browser's descriptor 3 and
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import select
@@ -42,6 +43,13 @@ def find_chromium() -> str | None:
     return next((path for name in names if (path := shutil.which(name))), None)
 
 
+def _hand_over(reading: int, writing: int) -> None:
+    """In the new process: the two ends become descriptors 3 and 4, whatever numbers they have now."""
+    high = [fcntl.fcntl(end, fcntl.F_DUPFD, 10) for end in (reading, writing)]
+    for end, number in zip(high, (3, 4)):
+        os.dup2(end, number)
+
+
 class Page:
     """One tab. ``errors`` collects uncaught exceptions and console errors, ``requests`` every URL asked for."""
 
@@ -50,9 +58,9 @@ class Page:
         to_browser, self._out = os.pipe()
         self._in, from_browser = os.pipe()
         self._process = subprocess.Popen(
-            ["sh", "-c", f'exec "$0" "$@" 3<&{to_browser} 4>&{from_browser}', executable, *FLAGS]
-            + [f"--user-data-dir={self._profile.name}", f"--window-size={width},{height}", "about:blank"],
-            pass_fds=(to_browser, from_browser),
+            [executable, *FLAGS, f"--user-data-dir={self._profile.name}", f"--window-size={width},{height}"],
+            preexec_fn=lambda: _hand_over(to_browser, from_browser),
+            pass_fds=(3, 4),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )

@@ -1,4 +1,4 @@
-"""Fake run folders, shaped as the runner writes them."""
+"""Fixtures that put fake runs into a test's own folder."""
 
 from __future__ import annotations
 
@@ -7,135 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pytest
-
-from panobench.bench.document import write_depth
-from panobench.bench.runfolder import write_frames, write_json
-from panobench.datasets.trajectory_io import write_tum
-from panobench.geometry import make_pose, so3_exp
-from panobench.metrics.rendering import write_pair
-from panobench.types import DepthEstimate, Trajectory
+from fake_runs import write_run, write_suite
 
 RunWriter = Callable[..., Path]
-
-
-def loop(n: int, noise: float = 0.0, seed: int = 0) -> Trajectory:
-    """A wavy loop of n poses in a world with y down; ``noise`` metres are added to every position."""
-    t = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    p = np.stack([np.sin(t), 0.1 * np.sin(3 * t), np.cos(t) * 0.7], axis=1)
-    p += noise * np.random.default_rng(seed).standard_normal(p.shape)
-    return Trajectory(np.arange(n) / 15.0, make_pose(so3_exp(np.stack([0 * t, t, 0 * t], axis=1)), p))
-
-
-def panorama(phase: float, width: int = 128) -> np.ndarray:
-    """(H, W, 3) float picture 0..1 that differs with ``phase``."""
-    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, width), np.linspace(0, np.pi, width // 2))
-    return np.stack([0.5 + 0.4 * np.sin(3 * u + phase), v / np.pi, 0.5 + 0.4 * np.cos(5 * v + phase)], axis=2)
-
-
-def write_run(
-    folder: Path,
-    *,
-    method: str = "panogs",
-    dataset: str = "rooms",
-    sequence: str = "room1",
-    seed: int = 0,
-    status: str = "ok",
-    message: str = "",
-    origin: str = "measured",
-    noise: float = 0.001,
-    tracked: float = 1.0,
-    frames: int = 40,
-    pictures: int = 2,
-    fps: float = 4.0,
-    truth: bool = True,
-    depth: bool = True,
-    spec: dict[str, Any] | None = None,
-    metrics: dict[str, Any] | None = None,
-    log: str = "tracking\nfinished",
-) -> Path:
-    """Write a run folder at ``folder`` and return it. ``noise`` is the trajectory's error per axis, metres."""
-    folder.mkdir(parents=True)
-    reference, estimate = loop(frames), loop(frames, noise, seed + 1)
-    count = round(tracked * frames)
-    if truth:
-        write_tum(folder / "groundtruth.tum", reference)
-    write_tum(folder / "trajectory.tum", estimate.select(np.arange(count)))
-    rng = np.random.default_rng(seed)
-    write_frames(
-        folder / "frames.csv",
-        [
-            {
-                "index": i,
-                "time": f"{reference.times[i]:.9f}",
-                "tracked": int(i < count),
-                "latency_s": f"{(0.5 + rng.random()) / fps:.6f}",
-                "loss": 0.02 + 0.01 * rng.random(),
-            }
-            for i in range(frames)
-        ],
-    )
-    for i in range(pictures):
-        picture = panorama(0.3 * i)
-        blurred = cv2.GaussianBlur(picture, (0, 0), 1.5)
-        write_pair(folder / "renders", f"{i * 10:06d}", blurred.astype(np.float32), picture.astype(np.float32))
-    if depth:
-        distance = (1.0 + panorama(1.0)[..., 0]).astype(np.float32)
-        write_depth(folder / "renders", DepthEstimate(distance, confidence=np.ones_like(distance)))
-    (folder / "log.txt").write_text(log)
-    ate = noise * np.sqrt(3) if truth and status in ("ok", "lost") else None
-    write_json(
-        folder / "run.json",
-        {
-            "schema": 1,
-            "status": status,
-            "message": message,
-            "origin": origin,
-            "protocol": "1.0",
-            "metric": False,
-            "spec": {
-                "method": method,
-                "camera": "erp",
-                "dataset": dataset,
-                "sequence": sequence,
-                "seed": seed,
-                "width": 512,
-                "settings": {},
-                **(spec or {}),
-            },
-            "metrics": {
-                "ate_rmse_m": ate,
-                "ate_keyframes_rmse_m": ate,
-                "rpe_trans_rmse_m": None if ate is None else 0.3 * ate,
-                "tracked": tracked,
-                "psnr_db": 31.0 - 1000 * noise,
-                "ssim": 0.91,
-                "lpips": None,
-                "pano_psnr_db": 32.0 - 1000 * noise,
-                **(metrics or {}),
-            },
-            "timing": {
-                "fps": fps,
-                "tracking_fps": 4 * fps,
-                "latency_p50_s": 0.8 / fps,
-                "latency_p95_s": 1.2 / fps,
-                "wall_s": frames / fps,
-                "peak_rss_bytes": 9e8 + 1e7 * fps,
-            },
-            "map": {"file": "map.ply", "gaussians": 21034, "bytes": 5_000_000},
-            "depth": {"source": "bootstrap", "oracle": False, "range": [0.8, 3.9]},
-            "keyframes": list(range(0, frames, 8)),
-            "provenance": {
-                "panobench": "0.1.0",
-                "machine": {"cpu": "Some CPU @ 2.0 GHz", "cores": 2},
-                "packages": {"numpy": "2.0.0"},
-                "command": f"panobench run --method {method} --dataset {dataset} --sequence {sequence} --seed {seed}",
-            },
-        },
-    )
-    return folder
 
 
 @pytest.fixture
@@ -161,14 +36,6 @@ def edit() -> Callable[[Path, Callable[[dict[str, Any]], None]], None]:
 
 
 @pytest.fixture
-def suite(make_run: RunWriter) -> Path:
-    """A store with three methods, two sequences, repeats, and each kind of failure."""
-    folder = make_run("a0").parent
-    make_run("a1", seed=1, noise=0.0012)
-    make_run("a2", seed=2, noise=0.0008)
-    make_run("b0", method="sparse", noise=0.004, fps=25.0, pictures=0, depth=False)
-    make_run("c0", method="imported-slam", noise=0.01, origin="imported", pictures=0, depth=False)
-    make_run("a3", sequence="room2", noise=0.002)
-    make_run("b1", method="sparse", sequence="room2", tracked=0.6, status="lost", message="tracked 60%", pictures=0)
-    make_run("c1", method="imported-slam", sequence="room2", status="crashed", log="Segmentation fault", pictures=0)
-    return folder
+def suite(tmp_path: Path) -> Path:
+    """``write_suite`` in the test's own folder."""
+    return write_suite(tmp_path / "runs")

@@ -62,13 +62,13 @@ PB.plots = (() => {
     return { data, layout };
   }
   async function draw(div) {
-    const Plotly = await library();
+    if (!window.Plotly) await library();
     const { data, layout } = styled(div, PB.data.figures[div.dataset.figure]);
     const spatial = Boolean(layout.scene);
+    drawn.add(div);
     await Plotly.react(div, data, layout, { displaylogo: false, responsive: true, scrollZoom: false,
       displayModeBar: spatial ? "hover" : false,
       modeBarButtons: [["zoom3d", "pan3d", "orbitRotation", "resetCameraDefault3d", "toImage"]] });
-    drawn.add(div);
     div.dataset.drawn = "yes";
   }
   function toggle(place, button) {
@@ -95,9 +95,15 @@ PB.plots = (() => {
       });
     });
     PB.themeListeners.push(() => drawn.forEach(div => draw(div)));
-    addEventListener("beforeprint", () => PB.all(".plot").forEach(div => {
-      if (!drawn.has(div) && !div.closest(".spatial")) draw(div);
-    }));
+    // Printing shows all sequences at once; the library is unpacked early so that drawing then needs no waiting.
+    let closed = [];
+    addEventListener("beforeprint", () => {
+      closed = PB.all(".place.off");
+      closed.forEach(place => place.classList.remove("off"));
+      if (window.Plotly) PB.all(".plot").forEach(div => { if (!drawn.has(div) && !div.closest(".spatial")) draw(div); });
+    });
+    addEventListener("afterprint", () => closed.forEach(place => place.classList.add("off")));
+    if (PB.all(".plot").length) (window.requestIdleCallback || setTimeout)(library);
   }
   return { start, draw, drawn };
 })();

@@ -1,0 +1,222 @@
+"""The page in a real browser: it runs without errors, loads nothing, and its controls work."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from chromium_pipe import Page, find_chromium
+from fake_runs import write_suite
+
+from panobench.report.build import write_report
+
+CHROMIUM = find_chromium()
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (name it in CHROMIUM)"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Page]:
+    with Page(str(CHROMIUM), 800, 700) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a small suite."""
+    folder = tmp_path_factory.mktemp("browser")
+    write_report([write_suite(folder / "runs")], folder / "report.html")
+    return folder / "report.html"
+
+
+@pytest.fixture
+def opened(browser: Page, report: Path) -> Page:
+    """The page with everything on its first tab drawn; tests leave it as they found it."""
+    if browser.evaluate("location.href") != report.as_uri():
+        browser.errors.clear()
+        browser.requests.clear()
+        browser.prefer("light")
+        browser.open(report)
+        see_all(browser)
+    return browser
+
+
+def see_all(page: Page) -> None:
+    """Scroll through the page, so that everything drawn on demand is drawn, and wait for it."""
+    page.evaluate(
+        "new Promise(async done => { for (let y = 0; y < document.body.scrollHeight; y += 600) {"
+        "scrollTo({top: y, behavior: 'instant'}); await new Promise(r => setTimeout(r, 60)); }"
+        " scrollTo(0, 0); done(); })"
+    )
+    page.wait("PB.all('.place:not(.off) .plot').every(d => d.dataset.drawn)")
+    page.wait("PB.all('.place:not(.off) .pano img.render').every(i => i.naturalWidth > 0)")
+
+
+def axe_source() -> str | None:
+    """axe-core's script: the file named by PANOBENCH_AXE, or that of the axe-core-python package."""
+    named = os.environ.get("PANOBENCH_AXE")
+    if named:
+        return Path(named).read_text(encoding="utf-8")
+    spec = importlib.util.find_spec("axe_core_python")
+    if spec is None or not spec.origin:
+        return None
+    return (Path(spec.origin).parent / "axe.min.js").read_text(encoding="utf-8")
+
+
+def test_page_draws_everything_without_errors_and_without_the_network(opened):
+    assert opened.errors == []
+    assert [u for u in opened.requests if not u.startswith(("file:", "data:", "blob:"))] == []
+    assert len([u for u in opened.requests if u.startswith("file:")]) == 1
+    assert opened.evaluate("PB.all('.place:not(.off) .plot .main-svg').length") > 5
+    assert opened.evaluate("PB.all('.spatial canvas').length") >= 1
+
+
+def test_sorting_by_a_column_is_announced_and_undone(opened):
+    column = "document.querySelectorAll('[data-table=runs] thead th')[5]"
+    values = "PB.all('[data-table=runs] tbody tr').map(r => r.cells[5].dataset.value)"
+    before = opened.evaluate(values)
+    opened.evaluate(f"{column}.querySelector('button').click()")
+    assert opened.evaluate(f"{column}.getAttribute('aria-sort')") == "ascending"
+    up = opened.evaluate(values)
+    known = [float(v) for v in up if v is not None]
+    assert known == sorted(known)
+    assert up[len(known) :] == [None] * (len(up) - len(known))
+    opened.evaluate(f"{column}.querySelector('button').click()")
+    down = opened.evaluate(values)
+    assert down[: len(known)] == up[: len(known)][::-1]
+    assert down[len(known) :] == up[len(known) :]
+    opened.evaluate(f"{column}.querySelector('button').click()")
+    assert opened.evaluate(values) == before
+    assert opened.evaluate(f"{column}.getAttribute('aria-sort')") is None
+
+
+def test_filters_narrow_the_rows_and_say_so(opened):
+    visible = "PB.all('[data-table=runs] tbody tr').filter(r => r.offsetParent).length"
+    count = "document.querySelector('[data-table=runs] .count').textContent"
+    enter = (
+        "(name, value) => {{ const c = document.querySelector(`[data-table=runs] [data-filter=${{name}}]`);"
+        "c.value = value; c.dispatchEvent(new Event('input', {{bubbles: true}})); }}"
+    ).format()
+    assert opened.evaluate(visible) == 8
+    opened.evaluate(f"({enter})('method', 'panogs')")
+    assert (opened.evaluate(visible), opened.evaluate(count)) == (4, "4 of 8 rows")
+    opened.evaluate(f"({enter})('text', 'room2')")
+    assert opened.evaluate(visible) == 1
+    opened.evaluate(f"({enter})('method', '')")
+    opened.evaluate(f"({enter})('status', 'failed')")
+    assert opened.evaluate(visible) == 2
+    box = "document.querySelector('[data-table=ate-rooms] [data-filter=published]')"
+    rows = "PB.all('[data-table=ate-rooms] tr.published').filter(r => r.offsetParent).length"
+    shown = opened.evaluate(rows)
+    assert shown > 0
+    opened.evaluate(f"{box}.click()")
+    assert opened.evaluate(rows) == 0
+    opened.evaluate(f"{box}.click()")
+    opened.evaluate(f"({enter})('text', '')")
+    opened.evaluate(f"({enter})('status', '')")
+    assert opened.evaluate(visible) == 8
+
+
+def test_a_run_is_toggled_in_all_plots_of_its_sequence(opened):
+    hidden = "PB.all('#seq0 .plot').flatMap(d => d.data.filter(t => t.visible === false).map(t => t.meta.run))"
+    assert opened.evaluate(hidden) == []
+    opened.evaluate("document.querySelector('#seq0 .legend [data-run=\"0\"]').click()")
+    opened.wait(f"{hidden}.length >= 4")
+    assert set(opened.evaluate(hidden)) == {0}
+    assert opened.evaluate("document.querySelector('#seq0 .legend [data-run=\"0\"]').ariaPressed") == "false"
+    opened.evaluate("document.querySelector('#seq0 .legend [data-run=\"0\"]').click()")
+    opened.wait(f"{hidden}.length === 0")
+
+
+def test_tabs_work_with_the_arrow_keys(opened):
+    opened.evaluate("document.querySelector('[role=tab]').focus()")
+    opened.key("ArrowRight", 39)
+    assert opened.evaluate("document.activeElement.id") == "tab-seq1"
+    assert opened.evaluate("PB.all('.place').map(p => p.classList.contains('off'))") == [True, False]
+    opened.evaluate("document.querySelector('#seq1 .charts').scrollIntoView({behavior: 'instant'})")
+    opened.wait("PB.all('#seq1 .plot').some(d => d.dataset.drawn)")
+    opened.evaluate("document.getElementById('tab-seq0').click()")
+    assert opened.evaluate("PB.all('.place').map(p => p.classList.contains('off'))") == [False, True]
+
+
+def test_the_divider_moves_by_mouse_and_keyboard(opened):
+    opened.evaluate("document.querySelector('.stage').scrollIntoView({block: 'center', behavior: 'instant'})")
+    box = opened.evaluate(
+        "(r => [r.left, r.top, r.width, r.height])(document.querySelector('.stage').getBoundingClientRect())"
+    )
+    y = box[1] + box[3] / 2
+    opened.drag((box[0] + box[2] / 2, y), (box[0] + box[2] / 4, y))
+    assert float(opened.evaluate("document.querySelector('.wipe').value")) == pytest.approx(25, abs=1)
+    opened.key("ArrowRight", 39)
+    assert float(opened.evaluate("document.querySelector('.wipe').value")) == pytest.approx(26, abs=1)
+    assert opened.evaluate("document.querySelector('.stage').style.getPropertyValue('--share')").startswith("26")
+
+
+def test_looking_around_turns_the_view_and_difference_is_dark_where_equal(opened):
+    opened.evaluate("document.querySelector('[data-view=look]').click()")
+    opened.evaluate("document.querySelector('canvas.look').focus()")
+    mean = (
+        "(c => { const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data; let s = 0;"
+        "for (let i = 0; i < d.length; i += 4) s += d[i] + d[i + 1] + d[i + 2]; return 4 * s / d.length / 3; })"
+        "(document.querySelector('canvas.look'))"
+    )
+    before = opened.evaluate(mean)
+    assert before > 30
+    opened.key("ArrowUp", 38)
+    assert opened.evaluate(mean) != before
+    opened.evaluate("document.querySelector('[data-mode=difference]').click()")
+    assert opened.evaluate(mean) < before / 2
+    opened.evaluate("document.querySelector('[data-mode=compare]').click()")
+    opened.evaluate("document.querySelector('[data-view=flat]').click()")
+
+
+def test_phone_width_has_no_sideways_scrolling(opened):
+    opened.resize(390, 844, mobile=True)
+    try:
+        opened.wait("document.documentElement.scrollWidth <= 390", timeout=10)
+    finally:
+        opened.resize(800, 700)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious(opened, scheme):
+    source = axe_source()
+    if source is None:
+        pytest.skip("needs axe-core-python, or axe.min.js named in PANOBENCH_AXE")
+    opened.prefer(scheme)
+    opened.wait(f"document.documentElement.dataset.theme === '{scheme}'")
+    opened.evaluate("PB.all('details').forEach(d => { d.open = true; })")
+    opened.evaluate(source + "; 0")
+    result = json.loads(opened.evaluate("axe.run().then(r => JSON.stringify(r.violations))"))
+    serious = [
+        (v["id"], v["help"], [(n["html"][:160], n["failureSummary"][:300]) for n in v["nodes"][:3]])
+        for v in result
+        if v["impact"] in ("serious", "critical")
+    ]
+    assert serious == []
+
+
+def test_printing_makes_a_document_of_every_sequence(opened, tmp_path):
+    opened.wait("window.Plotly")
+    opened.pdf(tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_bytes()[:5] == b"%PDF-"
+    assert opened.evaluate("PB.all('#seq1 .plot').filter(d => d.dataset.drawn && !d.closest('.spatial')).length") >= 3
+    assert opened.errors == []
+
+
+def test_names_from_data_do_not_run(browser, make_run, tmp_path):
+    evil = "</script><script>window.pwned=1</script><img src=x onerror=window.pwned=1><b>x</b>"
+    runs = [make_run("a", method=evil, sequence=evil), make_run("b", method="b", sequence=evil)]
+    write_report(runs, tmp_path / "evil.html", title=evil)
+    browser.errors.clear()
+    browser.open(tmp_path / "evil.html", settle=0.2)
+    see_all(browser)
+    assert browser.evaluate("window.pwned === undefined")
+    assert browser.evaluate("document.querySelector('h1').textContent") == evil
+    assert browser.errors == []
