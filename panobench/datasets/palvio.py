@@ -196,6 +196,8 @@ class Palvio(Dataset):
             raise DatasetError("dataset 'palvio' needs --root PATH")
         if root.is_file() or _is_extracted(root):
             return {root.stem if root.is_file() else root.resolve().name: root}
+        if not root.is_dir():
+            raise DatasetError("no such file or folder", root)
         found = {p.stem: p for p in sorted(root.iterdir()) if p.suffix == ".bag" and p.is_file()}
         found |= {p.name: p for p in sorted(root.iterdir()) if p.is_dir() and _is_extracted(p) and p.name not in found}
         if not found:

@@ -145,6 +145,8 @@ def video_files(root: Path) -> dict[str, Path]:
     """Sequence name -> video file: ``root`` itself, or the videos in it. Raises DatasetError if there is none."""
     if root.is_file():
         return {root.stem: root}
+    if not root.is_dir():
+        raise DatasetError("no such file or folder", root)
     found = {p.stem: p for p in sorted(root.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()}
     if not found:
         raise DatasetError(f"no video here ({', '.join(VIDEO_SUFFIXES)})", root)

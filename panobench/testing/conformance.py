@@ -16,7 +16,7 @@ from panobench.errors import PanobenchError
 from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, Spec
 
 Outcome = Literal["pass", "fail", "skip"]
-NAME = re.compile(r"[a-z][a-z0-9_-]*")
+NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
 
 
 @dataclass(frozen=True)
