@@ -14,11 +14,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from panobench.photometric.warp import atan2_fast
 from panobench.splat.kernel_options import ALPHA_MIN, COS_MIN, JIT, PARALLEL
 from panobench.splat.view import BOUND_CONES, BOUND_LATLON, CONIC_ERP, CONIC_PINHOLE, SPHERE
 
-#: Largest angular radius of a footprint: further out m.r < COS_MIN and nothing is drawn.
-REACH_MAX = float(np.arccos(COS_MIN))
+#: Largest tangent offset of a footprint: further out m.r < COS_MIN and nothing is drawn.
+OFFSET_MAX = float(np.sqrt(1.0 / COS_MIN**2 - 1.0))
 
 # Small vectors and matrices are tuples of floats here: arrays would be heap allocations, millions a second.
 
@@ -109,6 +110,12 @@ def whiten(S00, S01, S11):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
+def _atan2_bound(y, x):  # type: ignore[no-untyped-def]
+    """atan2 good to 3e-7 rad; footprint bounds carry far more slack than that."""
+    return float(atan2_fast(np.float32(y), np.float32(x)))
+
+
+@njit(**JIT)
 def latlon_extent(m, reach_e, reach_s, reach):  # type: ignore[no-untyped-def]
     """Southern and northern latitude and half width in longitude of a footprint (pi: the whole row).
 
@@ -116,16 +123,16 @@ def latlon_extent(m, reach_e, reach_s, reach):  # type: ignore[no-untyped-def]
     tangent rectangle m + e de + s ds bound every footprint that stays clear of the poles.
     """
     sin_lat, cos_lat = -m[1], np.sqrt(m[0] * m[0] + m[2] * m[2])
-    lat = np.arctan2(sin_lat, cos_lat)
+    lat = _atan2_bound(sin_lat, cos_lat)
     if abs(lat) + reach >= 0.5 * np.pi - 1e-3:
         return lat - reach, lat + reach, np.pi
     up, down = sin_lat + reach_s * cos_lat, sin_lat - reach_s * cos_lat
     h_up, h_down = cos_lat - reach_s * sin_lat, cos_lat + reach_s * sin_lat
     if h_up <= 1e-6 or h_down <= 1e-6:
         return lat - reach, lat + reach, np.arcsin(min(np.sin(reach) / cos_lat, 1.0))
-    north = np.arctan2(up, h_up if up >= 0 else np.sqrt(h_up * h_up + reach_e * reach_e))
-    south = np.arctan2(down, h_down if down <= 0 else np.sqrt(h_down * h_down + reach_e * reach_e))
-    half = np.arctan2(reach_e, min(h_up, h_down))
+    north = _atan2_bound(up, h_up if up >= 0 else np.sqrt(h_up * h_up + reach_e * reach_e))
+    south = _atan2_bound(down, h_down if down <= 0 else np.sqrt(h_down * h_down + reach_e * reach_e))
+    half = _atan2_bound(reach_e, min(h_up, h_down))
     return max(south, lat - reach), min(north, lat + reach), half
 
 
@@ -188,8 +195,10 @@ def project(  # type: ignore[no-untyped-def]
                 p[3 + i] = w11 * s[i]
                 p[6 + i] = m[i]
             spread = 0.5 * (S00 + S11) + np.sqrt(max(0.25 * (S00 - S11) ** 2 + S01 * S01, 0.0))
-            reach = min(np.arctan(np.sqrt(q_cut * spread)), REACH_MAX)
-            p[15], p[16], p[17] = 0.0, np.cos(reach), np.sin(reach)
+            offset = min(np.sqrt(q_cut * spread), OFFSET_MAX)
+            reach = _atan2_bound(offset, 1.0)
+            p[16] = 1.0 / np.sqrt(1.0 + offset * offset)
+            p[15], p[17] = 0.0, offset * p[16]
             if bound == BOUND_LATLON:
                 south, north, half = latlon_extent(m, np.sqrt(q_cut * S00), np.sqrt(q_cut * S11), reach)
                 rows[k, 0] = max(int(np.ceil(H * (0.5 - north / np.pi) - 0.5 - 1e-3)), 0)
@@ -197,7 +206,7 @@ def project(  # type: ignore[no-untyped-def]
                 if half >= np.pi:
                     cols[k, 0], cols[k, 1] = 0, int(W) - 1
                 else:
-                    u = W * (0.5 + np.arctan2(m[0], m[2]) / (2 * np.pi)) - 0.5
+                    u = W * (0.5 + _atan2_bound(m[0], m[2]) / (2 * np.pi)) - 0.5
                     half = half * W / (2 * np.pi) + 1e-3
                     cols[k, 0], cols[k, 1] = int(np.ceil(u - half)), int(np.floor(u + half))
             else:
@@ -283,50 +292,63 @@ def _cone_meets(p, cone):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def bin_tiles(packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles_y, bound, cones):  # type: ignore[no-untyped-def]
-    """Tile lists in depth order for instances already sorted by depth: starts (tiles + 1,), entries (E,)."""
-    tiles = tiles_x * tiles_y
+def _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, cursor, entries):  # type: ignore[no-untyped-def]
+    """Advance ``cursor`` of every tile instance k may touch, writing k there unless ``entries`` is empty."""
+    fill = len(entries) > 0
+    if bound == BOUND_CONES:
+        for t in range(tiles):
+            if _cone_meets(packed[k], cones[t]):
+                if fill:
+                    entries[cursor[t]] = k
+                cursor[t] += 1
+        return
+    y0, y1 = rows[k, 0] // tile_h, rows[k, 1] // tile_h
+    c0, c1 = cols[k, 0], cols[k, 1]
+    if c1 - c0 >= W - 1:
+        c0, c1 = 0, W - 1
+    # A panorama's footprint may pass either edge: at most two runs of columns.
+    for part in range(2):
+        if part == 0:
+            x0, x1 = max(c0, 0), min(c1, W - 1)
+        elif c0 < 0:
+            x0, x1 = max(c0 + W, c1 // tile_w * tile_w + tile_w), W - 1
+        elif c1 >= W:
+            x0, x1 = 0, min(c1 - W, c0 // tile_w * tile_w - 1)
+        else:
+            break
+        if x1 < x0:
+            continue
+        for ty in range(y0, y1 + 1):
+            for t in range(ty * tiles_x + x0 // tile_w, ty * tiles_x + x1 // tile_w + 1):
+                if fill:
+                    entries[cursor[t]] = k
+                cursor[t] += 1
+
+
+@njit(**PARALLEL)
+def bin_tiles(packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles_y, bound, cones, threads):  # type: ignore[no-untyped-def]
+    """Tile lists in depth order for instances already sorted by depth: starts (tiles + 1,), entries (E,).
+
+    Each thread takes a run of instances; its entries stand behind those of nearer runs, so the lists do not depend
+    on the number of threads.
+    """
+    tiles, n = tiles_x * tiles_y, len(rows)
+    block = (n + threads - 1) // threads
+    cursor = np.zeros((threads, tiles), np.int64)
+    nothing = np.empty(0, np.int32)
+    for th in prange(threads):
+        for k in range(th * block, min((th + 1) * block, n)):
+            _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, cursor[th], nothing)
     starts = np.zeros(tiles + 1, np.int64)
-    entries = np.empty(0, np.int32)
-    cursor = np.empty(0, np.int64)
-    for fill in range(2):
-        for k in range(len(rows)):
-            if bound == BOUND_CONES:
-                for t in range(tiles):
-                    if _cone_meets(packed[k], cones[t]):
-                        if fill:
-                            entries[cursor[t]] = k
-                            cursor[t] += 1
-                        else:
-                            starts[t + 1] += 1
-                continue
-            y0, y1 = rows[k, 0] // tile_h, rows[k, 1] // tile_h
-            c0, c1 = cols[k, 0], cols[k, 1]
-            if c1 - c0 >= W - 1:
-                c0, c1 = 0, W - 1
-            # A panorama's footprint may pass either edge: at most two runs of columns.
-            for part in range(2):
-                if part == 0:
-                    x0, x1 = max(c0, 0), min(c1, W - 1)
-                elif c0 < 0:
-                    x0, x1 = max(c0 + W, c1 // tile_w * tile_w + tile_w), W - 1
-                elif c1 >= W:
-                    x0, x1 = 0, min(c1 - W, c0 // tile_w * tile_w - 1)
-                else:
-                    break
-                if x1 < x0:
-                    continue
-                for ty in range(y0, y1 + 1):
-                    for tx in range(x0 // tile_w, x1 // tile_w + 1):
-                        t = ty * tiles_x + tx
-                        if fill:
-                            entries[cursor[t]] = k
-                            cursor[t] += 1
-                        else:
-                            starts[t + 1] += 1
-        if fill == 0:
-            for t in range(tiles):
-                starts[t + 1] += starts[t]
-            entries = np.empty(starts[tiles], np.int32)
-            cursor = starts[:tiles].copy()
+    for t in range(tiles):
+        total = starts[t]
+        for th in range(threads):
+            count = cursor[th, t]
+            cursor[th, t] = total
+            total += count
+        starts[t + 1] = total
+    entries = np.empty(max(starts[tiles], 1), np.int32)
+    for th in prange(threads):
+        for k in range(th * block, min((th + 1) * block, n)):
+            _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, cursor[th], entries)
     return starts, entries

@@ -145,7 +145,7 @@ class Renderer:
         order = project.radix_order(key)
         packed, rows, cols = project.gather(order, packed, rows, cols)
         starts, entries = project.bin_tiles(
-            packed, rows, cols, v.width, TILE_W, TILE_H, v.tiles_x, v.tiles_y, v.bound, v.cones
+            packed, rows, cols, v.width, TILE_W, TILE_H, v.tiles_x, v.tiles_y, v.bound, v.cones, self.threads
         )
         tiles = self.all_tiles() if tiles is None else tiles
         new = np.empty if len(tiles) == v.tiles_x * v.tiles_y else np.zeros
