@@ -45,9 +45,13 @@ class ParametricCamera(Camera):
             mask.flags.writeable = False
             object.__setattr__(self, "mask", mask)
         for name, value in self._numbers().items():
-            if name in ("width", "height") or value is None or isinstance(value, str):
+            if name in ("width", "height") or value is None:
                 continue
-            number = tuple(float(v) for v in value) if isinstance(value, (tuple, list, np.ndarray)) else float(value)
+            several = isinstance(value, (tuple, list, np.ndarray))
+            try:
+                number = tuple(float(v) for v in value) if several else float(value)
+            except (TypeError, ValueError):
+                raise CalibrationError(f"{self.kind} camera: {name} must be a number, not {value!r}") from None
             if not np.isfinite(number).all():
                 raise CalibrationError(f"{self.kind} camera: {name} must be finite, not {value!r}")
             object.__setattr__(self, name, number)

@@ -55,9 +55,9 @@ class ScaramuzzaCamera(ParametricCamera):
             raise CalibrationError("pal camera: the affine matrix [c d; e 1] is singular")
         if self.r_min < 0 or (self.r_max is not None and self.r_max <= self.r_min):
             raise CalibrationError(f"pal camera: 0 <= r_min < r_max expected, not {self.r_min:g} and {self.r_max}")
-        if self._table[1][-1] <= self.r_min:
+        if self.reach <= self.r_min:
             raise CalibrationError(
-                f"pal camera: the polar angle stops growing at r = {self._table[1][-1]:.1f} px, "
+                f"pal camera: the polar angle stops growing at r = {self.reach:.1f} px, "
                 f"inside r_min = {self.r_min:g}; check the signs of poly"
             )
 
@@ -76,6 +76,11 @@ class ScaramuzzaCamera(ParametricCamera):
         stop = np.flatnonzero(~growing)
         rho = rho[: max(int(stop[0]), 2)] if len(stop) else rho
         return self.polar_angle(rho), rho
+
+    @property
+    def reach(self) -> float:
+        """Largest radius, pixels, at which a pixel still has a ray."""
+        return float(self._table[1][-1])
 
     def _straighten(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Undo the affine part."""
@@ -125,7 +130,7 @@ class ScaramuzzaCamera(ParametricCamera):
         x, y = self._straighten(u - self.cx, v - self.cy)
         rho = np.hypot(x, y)
         rays = np.stack([x, y, -polyval(rho, self.poly)], axis=-1)
-        return normalised(rays, (rho >= self.r_min) & (rho <= self._table[1][-1]))
+        return normalised(rays, (rho >= self.r_min) & (rho <= self.reach))
 
     def jacobian(self, points: ArrayLike) -> Array:
         x, y, z = as_points(points)

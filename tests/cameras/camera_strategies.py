@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
 from panobench.cameras.base import Camera
@@ -13,6 +14,16 @@ from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.mei import MeiCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.scaramuzza import ScaramuzzaCamera
+
+#: The same examples on every machine, and no minutes spent on shrinking a failure.
+QUICK = settings(
+    max_examples=15,
+    deadline=None,
+    derandomize=True,
+    database=None,
+    phases=(Phase.explicit, Phase.generate),
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.differing_executors],
+)
 
 #: The polynomials of PALVIO's upward camera at its native 1280x960.
 PALVIO_POLY = (-244.5239, 0.0, 1.748610e-3, -1.757770e-6, 4.475965e-9)
@@ -70,6 +81,18 @@ omni = st.builds(
     radtan,
 )
 cubemap = st.builds(lambda n: CubemapCamera(6 * n, n), st.integers(2, 12))
+
+
+EXAMPLES: dict[str, Camera] = {
+    "erp": ErpCamera(64, 32),
+    "pinhole": PinholeCamera(64, 48, 40, 41, 31, 25, (-0.2, 0.03, 1e-3, 1e-3)),
+    "pal": ScaramuzzaCamera(1280, 960, PALVIO_POLY, 645.6, 486.5),
+    "fisheye": KannalaBrandtCamera(64, 48, 20, 21, 31, 25, (0.02, -0.01, 0.004, -0.0008)),
+    "ds": DoubleSphereCamera(64, 48, 20, 21, 31, 25, xi=-0.2, alpha=0.59),
+    "eucm": EucmCamera(64, 48, 20, 21, 31, 25, alpha=0.6, beta=1.1),
+    "omni": MeiCamera(64, 48, 40, 41, 31, 25, xi=1.1, distortion=(-0.1, 0.01, 1e-3, 1e-3)),
+    "cubemap": CubemapCamera(48, 8),
+}
 
 
 @st.composite

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_strategies import STRATEGIES
-from hypothesis import HealthCheck, given, settings
+from camera_strategies import EXAMPLES, QUICK, STRATEGIES
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panobench.cameras.base import Camera
@@ -19,6 +20,8 @@ from panobench.cameras.calibration import (
     read_calibration,
     write_calibration,
 )
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.scaramuzza import ScaramuzzaCamera
 from panobench.errors import CalibrationError, PanobenchError, UnknownNameError, UnsupportedError
 
@@ -49,24 +52,24 @@ def same_view(a: Camera, b: Camera) -> None:
 def test_what_is_written_is_read(tmp_path: Path, format: str, model: str) -> None:
     path = tmp_path / f"camera{SUFFIX.get(format, '.yaml')}"
 
-    @settings(
-        max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-    )
+    @settings(QUICK, max_examples=10)
     @given(STRATEGIES[model])
     def check(camera: Camera) -> None:
-        try:
-            write_calibration(camera, path, format)
-        except UnsupportedError as error:  # a limited panorama in COLMAP, eight coefficients in Kalibr
-            assert "limited" in str(error) or "distortion" in str(error)
+        if (format, model) == ("colmap", "erp"):
+            camera = ErpCamera(camera.width, camera.height)  # COLMAP has no limited field of view
+        if len(getattr(camera, "distortion", ())) > 4 and format in ("kalibr", "lfvio"):
+            with pytest.raises(UnsupportedError, match="four distortion coefficients"):
+                write_calibration(camera, path, format)
             return
+        write_calibration(camera, path, format)
         found = inspect_calibration(path)
         assert found.format == format
         if format == "panobench":
             assert found.camera == camera
-        elif model == "pal":  # no annulus in these files; its polynomials are what matters
-            import dataclasses
-
+        elif isinstance(camera, ScaramuzzaCamera):  # these files say nothing of where the polynomials hold
             same_view(found.camera.with_mask(None), dataclasses.replace(camera, r_min=0.0, r_max=None))
+        elif isinstance(camera, KannalaBrandtCamera):
+            same_view(found.camera, dataclasses.replace(camera, fov_deg=360.0))
         else:
             same_view(found.camera, camera)
 
@@ -76,10 +79,19 @@ def test_what_is_written_is_read(tmp_path: Path, format: str, model: str) -> Non
 @pytest.mark.parametrize("format", sorted(FORMATS))
 def test_models_a_format_does_not_have(tmp_path: Path, format: str) -> None:
     for model in set(STRATEGIES) - HOLDS[format]:
-        camera = builtin_calibration("palvio_up") if model == "pal" else STRATEGIES[model].example()
+        camera = builtin_calibration("palvio_up") if model == "pal" else EXAMPLES[model]
         with pytest.raises(UnsupportedError, match=model):
             write_calibration(camera, tmp_path / "x", format)
         assert list(tmp_path.iterdir()) == []
+
+
+def refusal(path: Path, format: str) -> str | None:
+    """The message with which the file is refused, or None if it is read."""
+    try:
+        read_calibration(path, format)
+    except PanobenchError as error:
+        return str(error)
+    return None
 
 
 def ocamcalib_text(
@@ -157,7 +169,7 @@ def test_disagreeing_polynomials_name_the_radius(tmp_path: Path) -> None:
     text = (tmp_path / "good.yaml").read_text().replace("-9.486697e-07", "9.486697e-07")
     (tmp_path / "bad.yaml").write_text(text)
     with pytest.raises(
-        CalibrationError, match=r"bad.yaml:\d+: .*disagree.* from r = 15\d px .*inside the valid annulus"
+        CalibrationError, match=r"bad.yaml:\d+: .*disagree.* from r = 1[56]\d px .*inside the valid annulus"
     ):
         read_calibration(tmp_path / "bad.yaml")
     wrong = [*UP_POLY[:3], -UP_POLY[3], UP_POLY[4]]
@@ -341,9 +353,9 @@ def test_calibration_for_another_resolution(tmp_path: Path) -> None:
     path = tmp_path / "camera.yaml"
     write_calibration(builtin_calibration("palvio_up"), path)
     assert read_calibration(path, size=(1280, 960)).width == 1280
-    with pytest.raises(CalibrationError, match="is for 1280x960 images, these are 640x480; .*scale"):
+    with pytest.raises(CalibrationError, match=r"is for 1280x960 images, these are 640x480; .*scale"):
         read_calibration(path, size=(640, 480))
-    with pytest.raises(CalibrationError, match="is for 1280x960 images, these are 1280x720$"):
+    with pytest.raises(CalibrationError, match=r"is for 1280x960 images, these are 1280x720$"):
         read_calibration(path, size=(1280, 720))
 
 
@@ -352,7 +364,7 @@ def test_calibration_for_another_resolution(tmp_path: Path) -> None:
     [
         ("", "empty"),
         ("model: pinhole\nwidth: 10\nheight: 10\nfx: 1\nfy: 1\ncx: 5\n", "'cy' is missing"),
-        ("model: pinhole\nwidth: 10\nheight: 10\nfx: 1\nfy: one\ncx: 5\ncy: 5\n", "fy|could not convert"),
+        ("model: pinhole\nwidth: 10\nheight: 10\nfx: 1\nfy: one\ncx: 5\ncy: 5\n", "fy must be a number, not 'one'"),
         ("model: pinhole\nwidth: 10\nheight: 10\nfx: -1\nfy: 1\ncx: 5\ncy: 5\n", "positive"),
         ("model: pinhole\nwidth: 10.5\nheight: 10\nfx: 1\nfy: 1\ncx: 5\ncy: 5\n", "width must be a whole number"),
         ("model: pinhol\nwidth: 10\n", "did you mean 'pinhole'"),
@@ -361,7 +373,7 @@ def test_calibration_for_another_resolution(tmp_path: Path) -> None:
         ("model: erp\nwidth: &a 20\nheight: *a\n", "aliases are not allowed"),
         ("model: erp\nwidth: !!python/object/apply:os.system [ls]\n", "not valid YAML"),
         ("model: erp\n  width: 20\n", r":2: not valid YAML"),
-        ("model: [" + "[" * 3000, "nested too deeply|not valid YAML"),
+        ("model: [" + "[" * 1500, "nested too deeply|not valid YAML"),
         ("5 -244 0 0.001\n", "five lines"),
         ("hello\n", "not recognised"),
     ],
@@ -398,13 +410,11 @@ def test_damaged_files_never_crash(tmp_path: Path, format: str) -> None:
     """Cut, duplicated and altered characters give a camera or a CalibrationError, nothing else."""
     path = tmp_path / "x.yaml"
     model = "pal" if format in ("ocamcalib", "lfvio") else "fisheye"
-    camera = builtin_calibration("palvio_up") if model == "pal" else STRATEGIES[model].example()
+    camera = builtin_calibration("palvio_up") if model == "pal" else EXAMPLES[model]
     write_calibration(camera, path, format)
     good = path.read_text()
 
-    @settings(
-        max_examples=80, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-    )
+    @settings(QUICK, max_examples=80)
     @given(
         st.integers(0, len(good)),
         st.integers(0, 30),
@@ -412,10 +422,7 @@ def test_damaged_files_never_crash(tmp_path: Path, format: str) -> None:
     )
     def check(start: int, length: int, insert: str) -> None:
         path.write_text(good[:start] + insert + good[start + length :], encoding="utf-8", errors="replace")
-        try:
-            read_calibration(path, format)
-        except PanobenchError as error:
-            assert str(path) in str(error)
-            assert "\n" not in str(error)
+        message = refusal(path, format)
+        assert message is None or (str(path) in message and "\n" not in message)
 
     check()

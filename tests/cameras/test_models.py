@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from camera_strategies import STRATEGIES
-from hypothesis import HealthCheck, given, settings
+from camera_strategies import QUICK, STRATEGIES
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from panobench.cameras.base import Camera
@@ -17,9 +17,6 @@ from panobench.plugins import load_registry
 from panobench.specs import CameraSpec
 
 MODELS = sorted(STRATEGIES)
-quick = settings(
-    max_examples=15, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 
 
 def unit_points(seed: int, n: int = 200) -> np.ndarray:
@@ -29,7 +26,7 @@ def unit_points(seed: int, n: int = 200) -> np.ndarray:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_pixels_survive_the_round_trip(model: str) -> None:
-    @quick
+    @QUICK
     @given(STRATEGIES[model], st.integers(0, 2**32 - 1))
     def check(camera: Camera, seed: int) -> None:
         pixels = np.random.default_rng(seed).uniform(0, [camera.width, camera.height], (200, 2))
@@ -47,7 +44,7 @@ def test_pixels_survive_the_round_trip(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_points_survive_the_round_trip(model: str) -> None:
-    @quick
+    @QUICK
     @given(STRATEGIES[model], st.integers(0, 2**32 - 1))
     def check(camera: Camera, seed: int) -> None:
         points = unit_points(seed)
@@ -67,7 +64,7 @@ def test_points_survive_the_round_trip(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_jacobian_matches_finite_differences(model: str) -> None:
-    @quick
+    @QUICK
     @given(STRATEGIES[model], st.integers(0, 2**32 - 1), st.floats(0.2, 20))
     def check(camera: Camera, seed: int, distance: float) -> None:
         points = unit_points(seed) * distance
@@ -90,7 +87,7 @@ def test_jacobian_matches_finite_differences(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_jacobian_on_the_optical_axis_is_finite(model: str) -> None:
-    @quick
+    @QUICK
     @given(STRATEGIES[model])
     def check(camera: Camera) -> None:
         on_axis = camera.jacobian([0.0, 0.0, 2.0])
@@ -103,7 +100,7 @@ def test_jacobian_on_the_optical_axis_is_finite(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_plain_values_describe_the_camera(model: str) -> None:
-    @quick
+    @QUICK
     @given(STRATEGIES[model])
     def check(camera: Camera) -> None:
         values = camera.to_dict()
@@ -122,7 +119,7 @@ def test_plain_values_describe_the_camera(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_scaling_keeps_the_view(model: str) -> None:
-    @quick
+    @QUICK
     @given(STRATEGIES[model], st.integers(2, 4), st.integers(0, 2**32 - 1))
     def check(camera: Camera, factor: int, seed: int) -> None:
         large = camera.scaled(camera.width * factor)
@@ -145,7 +142,7 @@ def test_scaling_keeps_the_view(model: str) -> None:
 def test_solid_angles_sum_to_the_coverage(model: str) -> None:
     """Against the share of uniformly random directions that the camera sees."""
 
-    @settings(quick, max_examples=8)
+    @settings(QUICK, max_examples=8)
     @given(STRATEGIES[model])
     def check(camera: Camera) -> None:
         fine = camera.scaled(camera.width * 4)
@@ -170,7 +167,7 @@ def test_full_panorama_and_cubemap_cover_the_sphere_exactly() -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_mask_and_immutability(model: str) -> None:
-    @settings(quick, max_examples=5)
+    @settings(QUICK, max_examples=5)
     @given(STRATEGIES[model])
     def check(camera: Camera) -> None:
         mask = np.zeros((camera.height, camera.width), dtype=bool)
@@ -196,7 +193,7 @@ def test_mask_and_immutability(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_nothing_comes_from_nan_or_the_centre(model: str) -> None:
-    @settings(quick, max_examples=5)
+    @settings(QUICK, max_examples=5)
     @given(STRATEGIES[model])
     def check(camera: Camera) -> None:
         points = np.array([[np.nan, 0, 1], [0.0, 0.0, 0.0], [np.inf, 0, 1]])

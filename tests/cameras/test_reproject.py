@@ -110,11 +110,9 @@ def test_zone_plate_does_not_alias(factor: int) -> None:
     assert np.sqrt(np.mean((filtered - truth) ** 2)) < 0.05
     if factor > 3:  # below, the target's edges are barely minified
         assert np.sqrt(np.mean((naive - truth) ** 2)) > 0.2
-    # Where a ring is at least six pixels wide it keeps its contrast.
-    angle = np.arccos(np.clip((target.rays() @ view)[..., 0], -1, 1))
-    wide = 2 * rings * angle * pixel < 2 * np.pi / 6
-    assert wide.sum() > 15
-    assert np.ptp(filtered[wide]) > 0.85 * np.ptp(truth[wide])
+    # The innermost rings are several pixels wide and keep their contrast.
+    centre = np.s_[26:38, 26:38]
+    assert np.std(filtered[centre]) > 0.8 * np.std(truth[centre])
 
 
 def test_one_sample_is_enough_when_magnifying() -> None:

@@ -75,15 +75,16 @@ def require_agreement(
 def fit_inverse(camera: ScaramuzzaCamera, tolerance: float = 0.01, max_terms: int = 20) -> tuple[float, ...]:
     """The camera's inverse polynomial, or one fitted to ``tolerance`` pixels if it has none.
 
+    It covers all radii of the model if it can, else those inside the valid annulus.
     Raises CalibrationError if no polynomial of ``max_terms`` terms is that close.
     """
     if camera.inv_poly:
         return camera.inv_poly
-    _, radii = camera._table
-    rho = np.linspace(max(camera.r_min, 0.0), radii[-1], 1000)
-    theta = camera.polar_angle(rho) - np.pi / 2
-    for terms in range(6, max_terms + 1):
-        fit = np.polynomial.Polynomial.fit(theta, rho, terms - 1)
-        if np.abs(fit(theta) - rho).max() < tolerance:
-            return tuple(float(q) for q in fit.convert().coef)
+    for low, high in ((camera.r_min, camera.reach), check_annulus(camera)):
+        rho = np.linspace(low, min(high, camera.reach), 1000)
+        theta = camera.polar_angle(rho) - np.pi / 2
+        for terms in range(6, max_terms + 1):
+            inverse = np.polynomial.Polynomial.fit(theta, rho, terms - 1).convert().coef
+            if np.abs(np.polynomial.polynomial.polyval(theta, inverse) - rho).max() < tolerance:
+                return tuple(float(q) for q in inverse)
     raise CalibrationError(f"no inverse polynomial of {max_terms} terms fits this camera to {tolerance} px")

@@ -55,6 +55,8 @@ def recognise(path: Path, text: str) -> bool:
 def read(path: Path, options: ReadOptions) -> Calibration:
     """The camera of the id in the options, else the first. Raises CalibrationError naming the line."""
     rows = {words[0]: (line, words) for line, words in data_lines(read_text(path))}
+    if not rows:
+        raise CalibrationError("no camera line: expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS...", path)
     if options.camera is not None and options.camera not in rows:
         raise CalibrationError(str(UnknownNameError("camera", options.camera, rows)), path)
     name = options.camera or next(iter(rows))

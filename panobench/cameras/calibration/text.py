@@ -104,7 +104,9 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-def _construct_table(loader: _Loader, node: yaml.MappingNode) -> Table:
+def _construct_table(loader: _Loader, node: yaml.Node) -> Table:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, "a table is expected", node.start_mark)
     table = Table()
     table.path, table.line, table.lines = loader.file, node.start_mark.line + 1, {}
     for key_node, value_node in node.value:
@@ -124,9 +126,9 @@ def parse_yaml(text: str, path: Path) -> Table:
     """The file's top-level table. OpenCV's `%YAML:1.0` header and matrices are understood."""
     if text.startswith("%YAML:"):
         text = "#" + text  # the colon is not YAML; a comment keeps the line numbers
-    loader = _Loader(text)
-    loader.file = path
     try:
+        loader = _Loader(text)
+        loader.file = path
         data = loader.get_single_data()
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
@@ -137,8 +139,6 @@ def parse_yaml(text: str, path: Path) -> Table:
         raise CalibrationError(f"not valid YAML: {error}", path) from None
     except RecursionError:
         raise CalibrationError("not a calibration: nested too deeply", path) from None
-    finally:
-        loader.dispose()
     if not isinstance(data, Table):
         raise CalibrationError("a table of values is expected", path)
     return data
