@@ -28,10 +28,10 @@ from panobench.datasets.images import encode_depth, encode_image
 from panobench.datasets.writer import SequenceWriter, finished_as
 from panobench.errors import DatasetError
 from panobench.geometry import make_pose
-from panobench.types import Trajectory
+from panobench.types import NovelView, Trajectory
 
 #: Bumped when the same options would give other files.
-CONVERSION_VERSION = 1
+CONVERSION_VERSION = 2
 #: Called with the number of frames finished (of all targets together) since the last call.
 Progress = Callable[[int], None]
 
@@ -168,7 +168,12 @@ class Exporter:
             },
             "body_T_cam": None if body_T_cam is None else body_T_cam.tolist(),
         }
-        writer.finish(groundtruth=truth, imu=self.sequence.imu, meta=meta)
+        novel = [
+            NovelView(v.name, reprojector.image(v.image), writer.camera, reprojector.poses(v.T_wc))
+            for v in self.sequence.novel_views()
+            if v.camera == self.sequence.camera
+        ]
+        writer.finish(groundtruth=truth, imu=self.sequence.imu, novel=novel, meta=meta)
 
     def _fingerprint(self, target: Target) -> dict[str, Any]:
         """What must be equal for a partial or finished sequence to be the one asked for."""

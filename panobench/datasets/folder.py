@@ -2,7 +2,8 @@
 
 ``camera.yaml``, ``images/``, ``frames.csv`` with columns time,file (seconds; path inside the sequence),
 optional ``groundtruth.tum`` (camera-to-world), ``imu.csv`` (time,wx,wy,wz,ax,ay,az),
-``depth/<stem>.npy|png`` (radial), ``mask.png`` (white = valid), ``meta.json``.
+``depth/<stem>.npy|png`` (radial), ``mask.png`` (white = valid), ``novel.csv`` (file,x,y,z,qx,qy,qz,qw: views of the
+same camera apart from the trajectory), ``meta.json``.
 """
 
 from __future__ import annotations
@@ -13,15 +14,16 @@ from typing import Any
 
 import numpy as np
 
+from panobench.cameras.base import Camera
 from panobench.cameras.calibration import read_calibration
 from panobench.datasets.base import Dataset, Sequence
-from panobench.datasets.image_sequence import ImageSequence, ImageSource
-from panobench.datasets.images import read_mask
+from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
+from panobench.datasets.images import read_image, read_mask
 from panobench.datasets.locate import choose_sequence
-from panobench.datasets.trajectory_io import check_times, parse_floats, read_rows, read_table, read_tum
+from panobench.datasets.trajectory_io import check_times, parse_floats, poses_from_rows, read_rows, read_table, read_tum
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import DatasetError
-from panobench.types import Imu, Trajectory
+from panobench.types import Imu, NovelView, Trajectory
 
 #: A ground-truth row belongs to the frame whose time differs by at most this.
 TIME_TOLERANCE_S = 1e-3
@@ -116,6 +118,7 @@ def _read(folder: Path, name: str) -> ImageSource:
         inputs=(*inputs, *(p for p in (mask_path, truth_path, imu_path) if p.is_file())),
         notes={"meta": meta} if meta else {},
         body_T_cam=_pose_note(meta, folder / "meta.json"),
+        novel=lambda: _read_novel(folder, camera),
     )
 
 
@@ -131,16 +134,40 @@ def _read_frames(path: Path, folder: Path) -> tuple[np.ndarray, list[Path]]:
         if len(row.fields) != 2:
             raise DatasetError(f"the row has {len(row.fields)} values, expected 2: time,file", path, line=row.line)
         times += parse_floats(row, row.fields[:1], path, "time,file")
-        relative = PurePosixPath(row.fields[1])
-        if relative.is_absolute() or ".." in relative.parts or not relative.parts:
-            raise DatasetError(f"'{row.fields[1]}' does not lie inside the sequence", path, line=row.line)
-        image = folder / relative
-        if not image.is_file():
-            raise DatasetError(f"image '{row.fields[1]}' is missing", path, line=row.line)
-        images.append(image)
+        images.append(_image_inside(folder, row.fields[1], path, row.line))
     stamps = np.array(times)
     check_times(stamps, path, [row.line for row in rows])
     return stamps, images
+
+
+def _image_inside(folder: Path, name: str, path: Path, line: int) -> Path:
+    """The image that a row names, which must lie in the sequence's folder."""
+    relative = PurePosixPath(name)
+    if relative.is_absolute() or ".." in relative.parts or not relative.parts:
+        raise DatasetError(f"'{name}' does not lie inside the sequence", path, line=line)
+    if not (folder / relative).is_file():
+        raise DatasetError(f"image '{name}' is missing", path, line=line)
+    return folder / relative
+
+
+def _read_novel(folder: Path, camera: Camera) -> list[NovelView]:
+    """The views of novel.csv, taken with the sequence's camera; none without that file."""
+    path = folder / "novel.csv"
+    if not path.is_file():
+        return []
+    expected = "file,x,y,z,qx,qy,qz,qw"
+    rows = read_rows(path, delimiter=",")
+    rows = rows[1:] if rows and rows[0].fields[0] == "file" else rows
+    images, numbers = [], []
+    for row in rows:
+        if len(row.fields) != 8:
+            raise DatasetError(f"the row has {len(row.fields)} values, expected 8: {expected}", path, line=row.line)
+        images.append(_image_inside(folder, row.fields[0], path, row.line))
+        numbers.append(parse_floats(row, row.fields[1:], path, expected))
+    values = np.array(numbers).reshape(-1, 7)
+    poses = poses_from_rows(values[:, :3], values[:, 3:], path, [row.line for row in rows])
+    check_sizes(images, (camera.width, camera.height))
+    return [NovelView(p.stem, read_image(p), camera, T) for p, T in zip(images, poses)]
 
 
 def _read_meta(path: Path) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """Writing the panobench sequence format, whole or not at all, and resumable.
 
 ``camera.yaml``, ``images/``, ``frames.csv`` (time, file), optional ``groundtruth.tum``, ``imu.csv``,
-``depth/``, ``mask.png`` and ``meta.json``. Everything is written under ``<name>.partial`` with a journal
-of finished frames and their checksums, and renamed into place at the end.
+``depth/``, ``mask.png``, ``novel.csv`` with ``novel/``, and ``meta.json``. Everything is written under
+``<name>.partial`` with a journal of finished frames and their checksums, and renamed into place at the end.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from panobench.datasets.checksums import sha256_bytes, sha256_file
 from panobench.datasets.images import encode_depth, encode_image
 from panobench.datasets.trajectory_io import tum_text
 from panobench.errors import DatasetError, UsageError
-from panobench.types import Imu, Trajectory
+from panobench.geometry import quat_from_matrix
+from panobench.types import Imu, NovelView, Trajectory
 
 FORMAT_VERSION = 1
 JOURNAL = "journal.jsonl"
@@ -175,9 +176,13 @@ class SequenceWriter:
         *,
         groundtruth: Trajectory | None = None,
         imu: Imu | None = None,
+        novel: Iterable[NovelView] = (),
         meta: dict[str, Any] | None = None,
     ) -> Path:
-        """Write what describes the frames and rename the folder into place. Raises DatasetError without a frame."""
+        """Write what describes the frames and rename the folder into place. Raises DatasetError without a frame.
+
+        ``novel`` views must be images of this sequence's camera.
+        """
         records = sorted(self._records.values(), key=lambda r: r.index)
         if not records:
             raise DatasetError("no frame was written", self.partial)
@@ -192,6 +197,7 @@ class SequenceWriter:
         if imu is not None:
             texts["imu.csv"] = imu_text(imu)
         files = {name: text.encode("utf-8") for name, text in texts.items()}
+        files |= self._novel_files(list(novel))
         if self.camera.mask is not None:
             files["mask.png"] = encode_image(self.camera.mask, ".png")
         checksums |= {name: sha256_bytes(data) for name, data in files.items()}
@@ -199,10 +205,27 @@ class SequenceWriter:
         files["meta.json"] = (json.dumps(about, indent=1) + "\n").encode()
         with explained_disk_errors(self.partial):
             for name, data in files.items():
+                (self.partial / name).parent.mkdir(exist_ok=True)
                 (self.partial / name).write_bytes(data)
             (self.partial / JOURNAL).unlink()
             os.replace(self.partial, self.path)
         return self.path
+
+    def _novel_files(self, views: list[NovelView]) -> dict[str, bytes]:
+        """novel.csv and the images it names; {} without views."""
+        if not views:
+            return {}
+        files = {}
+        rows = ["file,x,y,z,qx,qy,qz,qw"]
+        for k, view in enumerate(views):
+            if view.image.shape[:2] != (self.camera.height, self.camera.width):
+                raise ValueError(f"novel view '{view.name}' is {view.image.shape}, not of the sequence's camera")
+            name = f"novel/{k:03d}{self._suffix}"
+            files[name] = encode_image(view.image, self._suffix)
+            q = quat_from_matrix(view.T_wc[:3, :3])
+            rows.append(",".join([name, *(f"{x:.15g}" for x in (*view.T_wc[:3, 3], *q))]))
+        files["novel.csv"] = ("\n".join(rows) + "\n").encode()
+        return files
 
 
 def finished_as(path: Path, fingerprint: dict[str, Any]) -> bool:
@@ -246,6 +269,7 @@ def write_sequence(
     *,
     groundtruth: Trajectory | None = None,
     imu: Imu | None = None,
+    novel: Iterable[NovelView] = (),
     meta: dict[str, Any] | None = None,
     image_format: str = "png",
 ) -> Path:
@@ -258,7 +282,7 @@ def write_sequence(
     try:
         for index, (time, image, depth) in enumerate(frames):
             writer.add(index, time, image, depth)
-        return writer.finish(groundtruth=groundtruth, imu=imu, meta=meta)
+        return writer.finish(groundtruth=groundtruth, imu=imu, novel=novel, meta=meta)
     except BaseException:
         shutil.rmtree(writer.partial, ignore_errors=True)
         raise

@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -84,6 +85,21 @@ def test_every_target_camera(scene: Path, tmp_path: Path, target: str) -> None:
     expected = 127.5 + 120 * sequence.camera.rays()[valid] @ R.T
     assert valid.mean() > 0.4
     assert np.abs(sequence.image(2)[valid].astype(float) - expected).max() < 6
+
+
+def test_novel_views_are_converted_too(scene: Path, tmp_path: Path) -> None:
+    (scene / "novel").mkdir()
+    shutil.copy(scene / "images/000001.png", scene / "novel/000.png")
+    row = (scene / "groundtruth.txt").read_text().splitlines()[2].split()
+    (scene / "novel_groundtruth.txt").write_text(" ".join(["0", "000.png", *row[2:]]))
+    assert (
+        convert("synpano", "--root", scene, "--to", "pinhole", "--views", "left", "--width", 64, "--out", tmp_path) == 0
+    )
+    sequence = open_sequence("folder", "room-left", tmp_path)
+    (view,) = sequence.novel_views()
+    assert sequence.groundtruth is not None
+    np.testing.assert_array_equal(view.image, sequence.image(1))
+    np.testing.assert_allclose(view.T_wc, sequence.groundtruth.T_wc[1], atol=1e-9)
 
 
 def test_a_second_run_continues_and_a_third_has_nothing_to_do(

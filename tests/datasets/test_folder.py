@@ -14,7 +14,7 @@ from panobench.datasets import writer as writer_module
 from panobench.datasets.folder import Folder
 from panobench.datasets.writer import SequenceWriter, write_sequence
 from panobench.errors import CalibrationError, DatasetError, UsageError
-from panobench.types import Imu, Trajectory
+from panobench.types import Imu, NovelView, Trajectory
 
 TIMES = np.array([0.5, 0.6, 0.75])
 
@@ -59,6 +59,20 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["seq"]
     half = Folder(tmp_path).open(width=32)
     assert half.camera.valid_mask().shape == (16, 32)
+
+
+def test_novel_views_round_trip(tmp_path: Path) -> None:
+    views = [NovelView(f"v{k}", panorama(7 + k), camera(), poses(3)[k]) for k in range(2)]
+    write_sequence(tmp_path / "seq", camera(), frames(), novel=views)
+    back = Folder(tmp_path).open().novel_views()
+    assert len(back) == 2
+    np.testing.assert_array_equal(back[1].image, panorama(8))
+    np.testing.assert_allclose(back[1].T_wc, poses(3)[1], atol=1e-12)
+    assert back[0].camera == camera()
+    path = tmp_path / "seq/novel.csv"
+    path.write_text(path.read_text().replace("novel/001.png", "novel/009.png"))
+    with pytest.raises(DatasetError, match=r"novel\.csv:3: image 'novel/009\.png' is missing"):
+        Folder(tmp_path).open().novel_views()
 
 
 def test_nested_sequences_are_found_and_unfinished_ones_are_not(tmp_path: Path) -> None:
