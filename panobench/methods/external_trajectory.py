@@ -22,8 +22,8 @@ Kind = Literal["tum", "tum-ns", "kitti", "euroc"]
 class TrajectoryFormat:
     """How a program writes its answer.
 
-    kind: "tum"; "tum-ns", TUM with times in nanoseconds; "kitti", one pose per frame; "euroc", CSV with times in
-    nanoseconds and qw first. inverse: it writes world-to-camera. time_offset: added to its times, seconds.
+    kind: "tum"; "tum-ns", TUM with times in nanoseconds (ORB-SLAM3); "kitti", one pose per frame; "euroc", CSV with
+    times in nanoseconds and qw first. inverse: it writes world-to-camera. time_offset: added to its times, seconds.
     T_body_camera: poses are of a body; the camera's is T_world_body T_body_camera.
     index_rate: its times are frame index / rate (programs that take no times).
     """
@@ -36,7 +36,10 @@ class TrajectoryFormat:
 
 
 def _read_tum_ns(path: Path) -> Trajectory:
+    """ORB-SLAM3's files: it writes the frame that started the map twice, the second line counts."""
     table, lines = io.read_table(path, 8, "time in ns, x y z qx qy qz qw", exact=True)
+    last = np.append(np.diff(table[:, 0]) != 0, True)[: len(table)]
+    table, lines = table[last], [line for line, keep in zip(lines, last) if keep]
     times = table[:, 0] * 1e-9
     io.check_times(times, path, lines)
     return Trajectory(times, io.poses_from_rows(table[:, 1:4], table[:, 4:8], path, lines))

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
 from panobench.datasets.base import Sequence
 from panobench.errors import InputError, MethodError, MethodTimeoutError, UnavailableError, UsageError
 from panobench.methods import external_confine
@@ -23,7 +25,7 @@ from panobench.methods.external_launch import Place, parse_place
 from panobench.methods.external_process import Finished, clean_environment, last_lines, log_tail, run_logged
 from panobench.methods.external_trajectory import TrajectoryFormat, read_answer
 from panobench.methods.external_watch import guarded_folders, listing, strays
-from panobench.types import Estimate, RunStatus
+from panobench.types import Estimate, RunStatus, Trajectory
 
 #: Of the program's log that go into the run's own: the work folder is removed afterwards.
 LOGGED_LINES = 100
@@ -57,6 +59,7 @@ class Job:
     reads:      files or folders outside the work folder that it must see (a vocabulary).
     statuses:   exit codes that mean something; else 0 is a success, 126 and 127 "unavailable", the rest "crashed".
     keyframes:  a second file of the same format with the keyframes, if the program writes one.
+    silent_when_lost: after a success without a trajectory file nothing was tracked; else that is an error.
     """
 
     arguments: list[str]
@@ -67,6 +70,7 @@ class Job:
     environment: Mapping[str, str] = field(default_factory=dict)
     statuses: Mapping[int, RunStatus] = field(default_factory=dict)
     keyframes: Path | None = None
+    silent_when_lost: bool = False
 
 
 class ExternalProgramError(MethodError):
@@ -86,13 +90,14 @@ class ExternalMethod(BatchMethod):
     """Base class. ``title`` is the program's name for people, ``program`` its usual name on PATH.
 
     variable: start of the environment variables that name program and place:
-    <variable>_COMMAND and <variable>_RUN_IN.
+    <variable>_COMMAND and <variable>_RUN_IN. metric: its scale is metres.
     """
 
     title: ClassVar[str]
     program: ClassVar[str]
     variable: ClassVar[str]
     config_class: ClassVar[type[ExternalConfig]] = ExternalConfig
+    metric: ClassVar[bool] = False
 
     def __init__(self, config: ExternalConfig | None = None) -> None:
         self.config: ExternalConfig = config or self.config_class()
@@ -156,14 +161,20 @@ class ExternalMethod(BatchMethod):
         finished, confined = self._run(job, context, log)
         self._judge(job, finished, confined, log)
         try:
-            trajectory = read_answer(job.trajectory, job.format, sequence.times)
-            keys = read_answer(job.keyframes, job.format, sequence.times) if job.keyframes else None
+            if job.silent_when_lost and not job.trajectory.exists():
+                trajectory = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+            else:
+                trajectory = read_answer(job.trajectory, job.format, sequence.times)
+            keys = None
+            if job.keyframes is not None and job.keyframes.exists():
+                keys = read_answer(job.keyframes, job.format, sequence.times)
         except InputError as error:
             raise ExternalProgramError(f"{self.title}'s trajectory: {error}", RunStatus.CRASHED, log) from error
         index = {float(t): i for i, t in enumerate(sequence.times)}
         return Estimate(
             trajectory,
             keyframes=[] if keys is None else [index[float(t)] for t in keys.times],
+            metric=self.metric,
             extra={
                 "program": self.command(),
                 "place": self.place().kind,

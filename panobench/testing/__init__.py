@@ -13,6 +13,7 @@ _EXPORTS = {
     "panobench.testing.conformance": ("Check", "Options", "check_spec", "assert_conforms"),
     "panobench.testing.cameras": ("FakeCamera",),
     "panobench.testing.fixtures": ("fake_camera", "rotating_sequence", "tiny_sequence"),
+    "panobench.testing.programs": ("pose_rows", "write_program"),
     "panobench.testing.running": ("MethodRun", "ate_rmse", "make_method", "rotation_error_deg", "run_method"),
     "panobench.testing.sequences": (
         "BlindSequence",

@@ -1,0 +1,188 @@
+"""The ORB vocabulary that ORB-SLAM's family needs: the user's file, or one trained here from other images.
+
+Galvez-Lopez and Tardos, "Bags of binary words for fast place recognition in image sequences" (2012): a tree of binary
+descriptors by hierarchical k-medians under the Hamming distance, leaves weighted by log(images / images with the word).
+Text format of DBoW2: "k L scoring weighting", then per node "parent leaf byte0 ... byte31 weight", parents first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets.base import Sequence
+from panobench.errors import InputError, UnavailableError
+
+#: Names the vocabulary for all adapters that need one.
+VARIABLE = "PANOBENCH_ORB_VOCABULARY"
+BRANCHES, LEVELS = 10, 5
+ROOMS = ("room1", "room2", "room3", "room4", "room5")
+TRAINING_FRAMES, TRAINING_STEP, TRAINING_WIDTH, FEATURES = 20, 2, 1024, 2000
+Descriptors = NDArray[np.uint8]
+
+
+def named_vocabulary(option: str) -> Path | None:
+    """The file of the option or the environment variable, or None. Raises InputError if it is no vocabulary."""
+    name = option or os.environ.get(VARIABLE, "")
+    if not name:
+        return None
+    path = Path(name).expanduser().resolve()
+    if not path.is_file():
+        raise InputError("no such vocabulary file (DBoW2 text format, usually called ORBvoc.txt)", path)
+    with path.open("rb") as file:
+        head = file.readline(100).split()
+    if len(head) != 4 or not all(word.isdigit() for word in head):
+        raise InputError(
+            "not a DBoW2 vocabulary in text format: it does not start with four whole numbers", path, line=1
+        )
+    return path
+
+
+def find_vocabulary(option: str, sequence: Sequence, log: Callable[[str], None]) -> Path:
+    """The named vocabulary, or one trained on built-in rooms that ``sequence`` is not, kept in the cache.
+
+    Raises InputError for a named file that is none, UnavailableError when none is named and the rooms are not there.
+    """
+    named = named_vocabulary(option)
+    if named is not None:
+        return named
+    rooms = [name for name in ROOMS if not (sequence.dataset == "rooms" and sequence.name.startswith(name))]
+    settings = f"{rooms} {TRAINING_FRAMES} {TRAINING_STEP} {TRAINING_WIDTH} {FEATURES} {BRANCHES} {LEVELS}"
+    path = cache_folder() / f"orb-{hashlib.sha256(settings.encode()).hexdigest()[:16]}.txt"
+    if not path.exists():
+        log(f"no ORB vocabulary is named: training one on {', '.join(rooms)}; this takes a minute, once")
+        vocabulary = train(orb_descriptors(room_images(rooms)))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}.part")
+        part.write_text(vocabulary.text())
+        part.replace(path)
+    log(f"ORB vocabulary: {path.name}, trained on {', '.join(rooms)} (name the original in {VARIABLE})")
+    return path
+
+
+def cache_folder() -> Path:
+    """Where trained vocabularies are kept."""
+    from panobench.datasets.rooms.cache import cache_root
+
+    return cache_root() / "orb-vocabulary"
+
+
+def room_images(rooms: list[str]) -> Iterator[NDArray[np.uint8]]:
+    """Panoramas of built-in rooms, without the stretched rows near the poles."""
+    from panobench.plugins import registry
+    from panobench.specs import DatasetSpec
+
+    spec = registry().specs(DatasetSpec).get("rooms")
+    if spec is None:
+        raise UnavailableError(
+            f"no ORB vocabulary: name one in {VARIABLE} (the built-in rooms are not there to train on)"
+        )
+    for room in rooms:
+        sequence = spec.load()(None).open(room, width=TRAINING_WIDTH)
+        for i in range(0, min(TRAINING_FRAMES, len(sequence)), TRAINING_STEP):
+            image = sequence.image(i)
+            yield image[image.shape[0] // 6 : image.shape[0] * 5 // 6]
+
+
+def orb_descriptors(images: Iterable[NDArray[np.uint8]]) -> list[Descriptors]:
+    """ORB descriptors (N, 32) per image."""
+    import cv2
+
+    orb = cv2.ORB_create(FEATURES, fastThreshold=7)  # type: ignore[attr-defined]
+    found = []
+    for image in images:
+        _, descriptors = orb.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
+        if descriptors is not None:
+            found.append(np.asarray(descriptors, dtype=np.uint8))
+    return found
+
+
+@dataclass
+class Vocabulary:
+    """Nodes but the root, parents before children: parent ids, descriptors (N, 32), leaf flags and weights."""
+
+    branches: int
+    levels: int
+    parent: list[int] = field(default_factory=list)
+    centre: list[Descriptors] = field(default_factory=list)
+    leaf: list[bool] = field(default_factory=list)
+    weight: list[float] = field(default_factory=list)
+
+    @property
+    def words(self) -> int:
+        return sum(self.leaf)
+
+    def text(self) -> str:
+        """Scoring 0 is the L1 norm, weighting 0 is tf-idf."""
+        lines = [f"{self.branches} {self.levels} 0 0"]
+        for parent, centre, leaf, weight in zip(self.parent, self.centre, self.leaf, self.weight):
+            lines.append(f"{parent} {int(leaf)} {' '.join(map(str, centre.tolist()))} {weight:.6g}")
+        return "\n".join(lines) + "\n"
+
+
+def train(images: list[Descriptors], branches: int = BRANCHES, levels: int = LEVELS, seed: int = 0) -> Vocabulary:
+    """A vocabulary tree of the images' descriptors. Raises InputError if there are too few of them."""
+    data = np.concatenate(images) if images else np.zeros((0, 32), np.uint8)
+    if len(data) < 2 * branches:
+        raise InputError(f"{len(data)} ORB features are too few to train a vocabulary")
+    owner = np.repeat(np.arange(len(images)), [len(d) for d in images])
+    tree = Vocabulary(branches, levels)
+    rng = np.random.default_rng(seed)
+    queue = [(0, 0, np.arange(len(data)))]
+    while queue:
+        parent, level, members = queue.pop(0)
+        groups, centres = split(data[members], branches, rng)
+        for k, centre in enumerate(centres):
+            inside = members[groups == k]
+            tree.parent.append(parent)
+            tree.centre.append(centre)
+            node = len(tree.parent)
+            leaf = level + 1 == levels or len(inside) <= 1
+            tree.leaf.append(leaf)
+            tree.weight.append(float(np.log(len(images) / len(np.unique(owner[inside])))) if leaf else 0.0)
+            if not leaf:
+                queue.append((node, level + 1, inside))
+    return tree
+
+
+def nearest(a: Descriptors, b: Descriptors) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+    """For each descriptor of a (N, 32): differing bits to the nearest of b (M, 32), and which it is."""
+    import cv2
+
+    distance, index = cv2.batchDistance(a, b, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=1)
+    return np.asarray(distance[:, 0], dtype=np.int32), np.asarray(index[:, 0], dtype=np.intp)
+
+
+def split(data: Descriptors, k: int, rng: np.random.Generator) -> tuple[NDArray[np.intp], Descriptors]:
+    """k-medians of descriptors (N, 32): group of each row and centres (k', 32); k' <= k, no group empty.
+
+    Seeded as k-means++; at most ten rounds.
+    """
+    if len(data) <= k:  # each its own word, equal ones the same
+        centres, groups = np.unique(data, axis=0, return_inverse=True)
+        return groups.reshape(-1), centres
+    chosen = [int(rng.integers(len(data)))]
+    distance = nearest(data, data[chosen])[0]
+    while len(chosen) < k and distance.max() > 0:
+        edges = np.cumsum(distance, dtype=np.int64)
+        chosen.append(int(np.searchsorted(edges, rng.integers(edges[-1]), side="right")))
+        distance = np.minimum(distance, nearest(data, data[chosen[-1:]])[0])
+    centres = data[chosen]
+    groups = nearest(data, centres)[1]
+    bits = np.unpackbits(data, axis=1)
+    for _ in range(10):
+        members = [groups == g for g in range(len(centres))]
+        sums = [(bits[m].sum(axis=0, dtype=np.int32), int(m.sum())) for m in members if m.any()]
+        centres = np.packbits([2 * ones >= n for ones, n in sums], axis=1)
+        again = nearest(data, centres)[1]
+        if len(centres) == len(members) and np.array_equal(again, groups):
+            break
+        groups = again
+    used, groups = np.unique(groups, return_inverse=True)
+    return groups, centres[used]

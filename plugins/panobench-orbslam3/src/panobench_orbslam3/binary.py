@@ -1,0 +1,45 @@
+"""ORB-SLAM3 through its example program mono_euroc: EuRoC folders in, trajectory in EuRoC's time unit out."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from panobench import MethodContext
+from panobench.datasets.base import Sequence
+from panobench.methods.external_inputs import frame_rate, nanoseconds, opencv_yaml, write_images
+from panobench.methods.external_trajectory import TrajectoryFormat
+from panobench.methods.external_vocabulary import find_vocabulary
+from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench_orbslam3.settings import OrbSlam3Config, settings
+
+
+class OrbSlam3Binary(ExternalMethod):
+    """``mono_euroc VOCABULARY SETTINGS SEQUENCE TIMES NAME`` writes f_NAME.txt and kf_NAME.txt where it runs."""
+
+    title: ClassVar[str] = "ORB-SLAM3 (mono_euroc)"
+    program: ClassVar[str] = "mono_euroc"
+    variable: ClassVar[str] = "PANOBENCH_ORBSLAM3_BINARY"
+    config_class: ClassVar[type[ExternalConfig]] = OrbSlam3Config
+    config: OrbSlam3Config
+
+    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+        work = context.work
+        vocabulary = find_vocabulary(self.config.vocabulary, sequence, context.log)
+        values = settings(sequence.camera, frame_rate(sequence.times), self.config)
+        (work / "settings.yaml").write_text(opencv_yaml(values))
+        stamps = nanoseconds(sequence.times)
+        write_images(sequence, work / "sequence" / "mav0" / "cam0" / "data", grey=True, names=stamps)
+        (work / "times.txt").write_text("\n".join(stamps) + "\n")
+        arguments = [vocabulary, work / "settings.yaml", work / "sequence", work / "times.txt", "run"]
+        return Job(
+            [str(a) for a in arguments],
+            work / "f_run.txt",
+            TrajectoryFormat("tum-ns"),
+            reads=(vocabulary,),
+            keyframes=work / "kf_run.txt",
+        )
+
+
+def missing() -> str | None:
+    """For the probe."""
+    return OrbSlam3Binary.missing()
