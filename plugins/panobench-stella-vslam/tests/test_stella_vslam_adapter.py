@@ -1,0 +1,119 @@
+"""stella_vslam's adapter against a stand-in with run_image_slam's command line and files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from panobench_stella_vslam import SPEC
+from panobench_stella_vslam.method import VOCABULARY, StellaVslam, StellaVslamConfig, camera_values
+
+from panobench import InputError, MethodError, UnavailableError, UnsupportedError
+from panobench.cameras.kannala_brandt import KannalaBrandtCamera
+from panobench.cameras.pinhole import PinholeCamera
+from panobench.testing import FakeCamera, TinySequence, assert_conforms, ate_rmse, pose_rows, run_method, write_program
+
+STAND_IN = """
+import os, sys
+options, words = {}, sys.argv[1:]
+while words:
+    name = words.pop(0)
+    options[name] = words.pop(0) if words and not words[0].startswith("--") else True
+known = {"--vocab", "--without-vocab", "--img-dir", "--config", "--mask", "--no-sleep", "--auto-term"}
+known |= {"--eval-log-dir", "--viewer", "--start-timestamp"}
+assert set(options) <= known, options
+assert options["--start-timestamp"] == "0" and options["--viewer"] == "none"
+text = open(options["--config"]).read()
+assert "setup: monocular" in text and %(expect)r in text, text
+images = sorted(os.listdir(options["--img-dir"]))
+if "--vocab" in options:
+    open(options["--vocab"], "rb").read(1)
+print("vocabulary" if "--vocab" in options else "no vocabulary", flush=True)
+folder = options["--eval-log-dir"] + "/"
+rows = %(rows)r
+if rows:
+    open(folder + "frame_trajectory.txt", "w").write(rows)
+    open(folder + "keyframe_trajectory.txt", "w").write(rows.splitlines()[0] + "\\n")
+open(folder + "track_times.txt", "w").write("0.01\\n" * len(images))
+"""
+
+
+def program(path: Path, rows: str, expect: str = "model: equirectangular") -> StellaVslamConfig:
+    return StellaVslamConfig(
+        command=str(write_program(path / "run_image_slam", STAND_IN % {"rows": rows, "expect": expect}))
+    )
+
+
+def by_rate(sequence: TinySequence, rate: float) -> str:
+    """As stella_vslam saves it: frame i at i / fps, whatever the frames' times are."""
+    assert sequence.groundtruth is not None
+    rows = pose_rows(sequence.groundtruth)
+    return "".join(f"{i / rate:.15g} " + " ".join(f"{v:.9g}" for v in row[1:]) + "\n" for i, row in enumerate(rows))
+
+
+def test_it_keeps_the_contract() -> None:
+    assert_conforms(SPEC)
+
+
+def test_panoramas_go_in_and_poses_come_out(tmp_path: Path) -> None:
+    sequence = TinySequence(n=6)
+    run = run_method(StellaVslam(program(tmp_path, by_rate(sequence, 10.0))), sequence)
+    assert np.array_equal(run.estimate.trajectory.times, sequence.times)
+    assert ate_rmse(run, sequence) < 1e-6
+    assert run.estimate.keyframes == [0]
+    assert run.estimate.frames[3] == {"program_tracking_s": 0.01}
+    assert any("loops are not closed" in line for line in run.log)
+
+
+def test_uneven_times_are_matched_by_number(tmp_path: Path) -> None:
+    sequence = TinySequence(n=6)
+    rows = by_rate(sequence, 10.0)
+    sequence.times = np.array([5.0, 5.1, 5.2, 5.31, 5.4, 5.52])
+    run = run_method(StellaVslam(program(tmp_path, rows)), sequence)
+    assert np.array_equal(run.estimate.trajectory.times, sequence.times)
+
+
+def test_a_named_vocabulary_is_handed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "orb_vocab.fbow").write_bytes(b"x")
+    monkeypatch.setenv(VOCABULARY, str(tmp_path / "orb_vocab.fbow"))
+    sequence = TinySequence(n=3)
+    run = run_method(StellaVslam(program(tmp_path, by_rate(sequence, 10.0))), sequence)
+    assert any(line == "| vocabulary" for line in run.log)
+    monkeypatch.setenv(VOCABULARY, str(tmp_path / "none.fbow"))
+    with pytest.raises(InputError, match="no such vocabulary"):
+        run_method(StellaVslam(program(tmp_path, "")), sequence)
+
+
+def test_a_mask_goes_along(tmp_path: Path) -> None:
+    mask = np.ones((64, 128), dtype=bool)
+    mask[48:] = False
+    sequence = TinySequence(TinySequence().camera.with_mask(mask), n=3)
+    run = run_method(StellaVslam(program(tmp_path, by_rate(sequence, 10.0))), sequence)
+    assert "--mask" in run.log[1]
+
+
+def test_no_map_no_file_is_lost_not_crashed(tmp_path: Path) -> None:
+    assert len(run_method(StellaVslam(program(tmp_path, "")), TinySequence(n=3)).estimate.trajectory) == 0
+
+
+def test_a_crash_shows_the_log(tmp_path: Path) -> None:
+    path = write_program(tmp_path / "run_image_slam", "import sys; print('Invalid setup type'); sys.exit(1)")
+    with pytest.raises(MethodError, match="exit code 1; the log ends: Invalid setup type"):
+        run_method(StellaVslam(StellaVslamConfig(command=str(path))), TinySequence(n=3))
+
+
+def test_it_is_unavailable_without_its_program() -> None:
+    with pytest.raises(UnavailableError, match="PANOBENCH_STELLA_VSLAM_COMMAND"):
+        run_method(StellaVslam(), TinySequence(n=2))
+
+
+def test_cameras_become_stellas() -> None:
+    pinhole = yaml.safe_load(yaml.safe_dump(camera_values(PinholeCamera(96, 64, 50.0, 51.0, 48.0, 32.0), 30.0)))
+    assert pinhole["model"] == "perspective"
+    assert pinhole["cx"] == 47.5
+    assert pinhole["k3"] == 0.0
+    assert camera_values(KannalaBrandtCamera.equidistant(96, 120), 30.0)["model"] == "fisheye"
+    with pytest.raises(UnsupportedError, match="no fake camera"):
+        camera_values(FakeCamera(), 30.0)
