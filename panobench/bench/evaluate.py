@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from panobench.errors import PanobenchError
@@ -60,13 +60,15 @@ def evaluate(data: MetricInput, status: RunStatus, message: str, log: Callable[[
     return scores
 
 
-def judge(metrics: dict[str, float | None]) -> tuple[RunStatus, str]:
+def judge(
+    metrics: Mapping[str, float | None], min_tracked: float = MIN_TRACKED, failed_ate_m: float = FAILED_ATE_M
+) -> tuple[RunStatus, str]:
     """OK, or LOST with the reason: the protocol's limits on coverage and on the error."""
     tracked, ate = metrics.get("tracked") or 0.0, metrics.get("ate_rmse_m")
-    if tracked < MIN_TRACKED:
-        return RunStatus.LOST, f"tracked {tracked:.1%} of the frames, the protocol asks for {MIN_TRACKED:.0%}"
-    if ate is not None and ate > FAILED_ATE_M:
-        return RunStatus.LOST, f"ATE {ate:.2f} m is over the protocol's {FAILED_ATE_M:g} m"
+    if tracked < min_tracked:
+        return RunStatus.LOST, f"tracked {tracked:.1%} of the frames, the protocol asks for {min_tracked:.0%}"
+    if ate is not None and ate > failed_ate_m:
+        return RunStatus.LOST, f"ATE {ate:.2f} m is over the protocol's {failed_ate_m:g} m"
     return RunStatus.OK, ""
 
 

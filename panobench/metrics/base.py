@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ class MetricInput:
     latency:  seconds per frame given, same order as ``frames``.
     renders:  folder where pictures for the report may be written (it may not exist yet), or None.
     notes:    key -> one line; a metric says here why a number is None.
+    alignment: of the trajectory before ATE; "auto" is Sim(3), or SE(3) for an estimate that says it is metric.
     """
 
     sequence: Sequence
@@ -42,3 +44,4 @@ class MetricInput:
     render: Render | None = None
     renders: Path | None = None
     notes: dict[str, str] = field(default_factory=dict)
+    alignment: Literal["auto", "sim3", "se3", "none"] = "auto"

@@ -19,8 +19,8 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
         data.notes["ate_rmse_m"] = "no ground truth" if data.sequence.groundtruth is None else "no tracked frame"
         return {}
     values: dict[str, float | None] = {"path_length_m": matched.truth.path_length()}
-    with_scale = not estimate.metric
-    aligned = align(matched, with_scale)
+    how = data.alignment if data.alignment != "auto" else ("se3" if estimate.metric else "sim3")
+    aligned = align(matched, how)
     if aligned is None:
         data.notes["ate_rmse_m"] = "fewer than three poses, or a camera that does not move: alignment is undefined"
         return values
@@ -30,7 +30,7 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
     values["rpe_rotation_rmse_deg"] = _rpe(aligned, "rotation_angle_deg")
     values["scale"] = aligned.scale
     keyframes = _keyframes(matched, data)
-    aligned_keyframes = align(keyframes, with_scale) if keyframes is not None else None
+    aligned_keyframes = align(keyframes, how) if keyframes is not None else None
     if aligned_keyframes is not None:
         values["ate_keyframes_rmse_m"] = _ape(aligned_keyframes, "translation_part")
     return values
@@ -43,13 +43,16 @@ class Aligned:
         self.truth, self.estimate, self.scale = truth, estimate, scale
 
 
-def align(matched: Matched, with_scale: bool) -> Aligned | None:
-    """Umeyama alignment by evo. None under three poses or when either camera stays where it is."""
+def align(matched: Matched, how: str) -> Aligned | None:
+    """Umeyama alignment by evo: "sim3", "se3" or "none". None under three poses or when either camera stays put."""
     if len(matched) < 3 or not moves(matched.truth.positions) or not moves(matched.estimate.positions):
         return None
     from evo.core.geometry import GeometryException
 
     truth, estimate = _evo(matched.truth), _evo(matched.estimate)
+    if how == "none":
+        return Aligned(truth, estimate, 1.0)
+    with_scale = how == "sim3"
     try:
         _, _, scale = estimate.align(truth, correct_scale=with_scale)
     except GeometryException:

@@ -230,19 +230,27 @@ class TinyDataset(Dataset):
 
     def open(self, sequence=None, *, width=None):
         sequence = sequence or "a"
-        if sequence not in [*self.sequences(), "broken", "empty"]:
+        if sequence not in [*self.sequences(), "broken", "empty", "blind"]:
             raise UnknownNameError("sequence", sequence, self.sequences())
         tiny = Views(n=0 if sequence == "empty" else 12, seed=1, name=sequence)
         if width is not None:
             tiny.camera = tiny.camera.scaled(width)
         if sequence == "broken":
             tiny.broken = 5
+        tiny.blind = sequence == "blind"
         return tiny
 
 
 class Views(TinySequence):
+    """``blind``: without ground truth, so that evo is not imported and a run takes half a second."""
+
     broken: int | None = None
+    blind = False
     dataset = "tiny"
+
+    @property
+    def groundtruth(self):
+        return None if self.blind else super().groundtruth
 
     def image(self, index):
         if index == self.broken:
@@ -250,6 +258,8 @@ class Views(TinySequence):
         return super().image(index)
 
     def novel_views(self):
+        if self.blind:
+            return []
         T = self.pose_at(0.35)
         T[1, 3] += 0.2
         return [NovelView("up", self.image_from(T), self.camera, T)]

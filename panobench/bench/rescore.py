@@ -1,0 +1,180 @@
+"""Score stored runs again, under the current protocol or another one, from their files alone.
+
+Trajectory numbers and the status are computed anew. Rendering numbers need the map's renderer and stay as they
+were measured; so do times.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.bench.evaluate import judge
+from panobench.bench.runfolder import (
+    FRAMES,
+    GROUNDTRUTH,
+    RUN_JSON,
+    TRAJECTORY,
+    PendingRun,
+    read_run_json,
+    write_json,
+)
+from panobench.datasets.base import Sequence
+from panobench.datasets.trajectory_io import read_rows, read_tum
+from panobench.errors import InputError, UsageError
+from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED, PROTOCOL_VERSION, MetricInput
+from panobench.types import Estimate, RunStatus, Trajectory
+
+Alignment = Literal["auto", "sim3", "se3", "none"]
+ALIGNMENTS: tuple[Alignment, ...] = ("auto", "sim3", "se3", "none")
+#: Statuses that scoring decides; a run that ended otherwise keeps its status.
+_JUDGED = (RunStatus.OK.value, RunStatus.LOST.value)
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What may differ from the current protocol. skip_s: leave out the first seconds of the trajectory."""
+
+    alignment: Alignment = "auto"
+    min_tracked: float = MIN_TRACKED
+    failed_ate_m: float = FAILED_ATE_M
+    skip_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.alignment not in ALIGNMENTS:
+            raise UsageError(f"--align {self.alignment}: expected one of {', '.join(ALIGNMENTS)}")
+        if not (0 <= self.min_tracked <= 1 and self.failed_ate_m > 0 and 0 <= self.skip_s < np.inf):
+            raise UsageError("--min-tracked lies in 0..1, --max-ate is positive, --skip is not negative")
+
+    @property
+    def name(self) -> str:
+        """The version, with whatever differs from it."""
+        default = Protocol()
+        changed = [
+            f"{key}={getattr(self, key):g}" if key != "alignment" else f"align={self.alignment}"
+            for key in ("alignment", "min_tracked", "failed_ate_m", "skip_s")
+            if getattr(self, key) != getattr(default, key)
+        ]
+        return "+".join([PROTOCOL_VERSION, *changed])
+
+
+class StoredSequence(Sequence):
+    """Times and ground truth of a stored run; its images are not kept."""
+
+    def __init__(self, times: NDArray[np.float64], truth: Trajectory | None) -> None:
+        self.name, self.dataset, self.times, self._truth = "stored", "stored", times, truth
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        raise InputError("a stored run keeps no images")
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        return self._truth
+
+
+def rescore(folder: Path, protocol: Protocol) -> dict[str, Any]:
+    """The run's document with new trajectory numbers and status. Raises InputError for a folder it cannot use."""
+    from panobench.metrics.trajectory import trajectory_metrics
+
+    document = read_run_json(folder)
+    if document["status"] not in (*_JUDGED, RunStatus.INTERRUPTED.value):
+        return {**document, "protocol": protocol.name}
+    times = _frame_times(folder / FRAMES)
+    estimate = _optional_tum(folder / TRAJECTORY)
+    if len(times) == 0:
+        raise InputError("no frames to score", folder / FRAMES)
+    given = int((times >= times[0] + protocol.skip_s).sum())
+    estimate = estimate.select(np.flatnonzero(estimate.times >= times[0] + protocol.skip_s - 1e-6))
+    keyframes = [int(k) for k in document.get("keyframes") or [] if isinstance(k, int) and 0 <= k < len(times)]
+    data = MetricInput(
+        StoredSequence(times, _optional_tum(folder / GROUNDTRUTH) if (folder / GROUNDTRUTH).is_file() else None),
+        Estimate(estimate, keyframes=keyframes, metric=bool(document.get("metric"))),
+        list(range(len(times))),
+        alignment=protocol.alignment,
+    )
+    cleared = dict.fromkeys(_trajectory_keys())
+    metrics = {
+        **_mapping(document, "metrics"),
+        **cleared,
+        **trajectory_metrics(data),
+        "tracked": len(estimate) / given if given else 0.0,
+    }
+    status, message = document["status"], document.get("message", "")
+    if status in _JUDGED:
+        found, message = judge(metrics, protocol.min_tracked, protocol.failed_ate_m)
+        status = found.value
+    return {
+        **document,
+        "status": status,
+        "message": message,
+        "metrics": metrics,
+        "notes": {**_mapping(document, "notes"), **data.notes},
+        "protocol": protocol.name,
+        "rescored_from": document.get("rescored_from")
+        or {"protocol": document.get("protocol"), "status": document["status"]},
+    }
+
+
+def _mapping(document: dict[str, Any], key: str) -> dict[str, Any]:
+    value = document.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def _trajectory_keys() -> list[str]:
+    from panobench.metrics.registration import METRICS
+
+    return list(next(m for m in METRICS if m.name == "trajectory").keys)
+
+
+def _frame_times(path: Path) -> NDArray[np.float64]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            times = np.array([float(row["time"]) for row in csv.DictReader(file)], dtype=np.float64)
+    except FileNotFoundError:
+        raise InputError("the file is missing", path) from None
+    except (OSError, KeyError, ValueError, TypeError, csv.Error) as error:
+        raise InputError(f"not a table of frames with times ({type(error).__name__})", path) from None
+    if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+        raise InputError("the times are not finite and increasing", path)
+    return times
+
+
+def _optional_tum(path: Path) -> Trajectory:
+    """A TUM file; a trajectory without poses is empty, not wrong."""
+    if not read_rows(path):
+        return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+    return read_tum(path)
+
+
+def write_copy(folder: Path, document: dict[str, Any], target: Path) -> Path:
+    """A run folder at ``target`` with the new document; the other files are hard links where possible."""
+    pending = PendingRun(target)
+    try:
+        shutil.copytree(folder, pending.path, copy_function=_link, dirs_exist_ok=True)
+        (pending.path / RUN_JSON).unlink()
+        write_json(pending.path / RUN_JSON, document)
+        return pending.publish()
+    except BaseException:
+        pending.discard()
+        raise
+
+
+def write_in_place(folder: Path, document: dict[str, Any]) -> None:
+    """Replace run.json by a rename: a reader sees the old or the new one."""
+    part = folder / f".{RUN_JSON}.{os.getpid()}.part"
+    write_json(part, document)
+    os.replace(part, folder / RUN_JSON)
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
