@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -51,7 +52,10 @@ class ConvertedSequence(Sequence):
 
     @property
     def imu(self) -> Imu | None:
-        return self.source.imu
+        imu = self.source.imu
+        if imu is None or imu.T_body_cam is None:
+            return imu
+        return replace(imu, T_body_cam=self.reprojector.poses(imu.T_body_cam))
 
     @property
     def body_T_cam(self) -> NDArray[np.float64] | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +121,8 @@ class ImageSequence(Sequence):
 
     @property
     def imu(self) -> Imu | None:
-        return self.source.imu
+        imu = self.source.imu
+        return None if imu is None else replace(imu, T_body_cam=self.source.body_T_cam)
 
     @property
     def body_T_cam(self) -> NDArray[np.float64] | None:

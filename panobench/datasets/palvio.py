@@ -7,7 +7,8 @@ offset; the motion capture's stamps are taken as they are (its offset is not pub
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +53,11 @@ class PalvioBagSequence(Sequence):
         self.path, self.name, self.dataset, self.calibration = path, name, "palvio", calibration
         self._bag = BagFile(path)
         self._connections = self._bag.connections(calibration.image_topic, IMAGE)
-        contents = _read_once(self._bag, calibration)
+        stat = path.stat()
+        contents = _contents(path, (stat.st_size, stat.st_mtime_ns), _Wanted.of(calibration))
         self._where, self.times = contents.where, contents.times
-        self._imu, self._dropped = contents.imu, contents.dropped
+        self._dropped = contents.dropped
+        self._imu = None if contents.imu is None else replace(contents.imu, T_body_cam=calibration.body_T_cam)
         self._groundtruth = None if contents.body is None else camera_truth(contents.body, self.times, calibration)
         self.camera = scaled_camera(calibration.camera, width)
 
@@ -100,10 +103,31 @@ class _Contents:
     dropped: int
 
 
-def _read_once(bag: BagFile, calibration: PalvioCalibration) -> _Contents:
-    """One pass: the bags are compressed, and decompressing them is what takes the time."""
-    image_topic = calibration.image_topic
-    kinds = {calibration.imu_topic: IMU, calibration.groundtruth_topic: ODOMETRY}
+@dataclass(frozen=True)
+class _Wanted:
+    """What of the calibration the pass over a bag depends on."""
+
+    image_topic: str
+    imu_topic: str
+    groundtruth_topic: str
+    size: tuple[int, int]
+    time_offset_s: float
+
+    @classmethod
+    def of(cls, c: PalvioCalibration) -> _Wanted:
+        size = (c.camera.width, c.camera.height)
+        return cls(c.image_topic, c.imu_topic, c.groundtruth_topic, size, c.time_offset_s)
+
+
+@lru_cache(maxsize=2)
+def _contents(path: Path, version: tuple[int, int], wanted: _Wanted) -> _Contents:
+    """One pass over the bag: decompressing takes seconds, and the same bag is often opened at several widths.
+
+    ``version`` (size, time of modification) makes a changed file another one.
+    """
+    bag = BagFile(path)
+    image_topic = wanted.image_topic
+    kinds = {wanted.imu_topic: IMU, wanted.groundtruth_topic: ODOMETRY}
     connections = bag.connections(image_topic, IMAGE)
     for topic, kind in kinds.items():
         if topic in bag.topics:
@@ -113,7 +137,7 @@ def _read_once(bag: BagFile, calibration: PalvioCalibration) -> _Contents:
     rows: dict[str, list[tuple[float, ...]]] = {topic: [] for topic in kinds}
     for topic, received, data in bag.records(connections):
         if topic == image_topic:
-            stamps.append(_checked_stamp(data, calibration, bag.path, len(stamps)))
+            stamps.append(_checked_stamp(data, wanted.size, bag.path, len(stamps)))
             where.append((received, where[-1][1] + 1 if where and where[-1][0] == received else 0))
         else:
             message = bag.parse(data, topic, kinds[topic], len(rows[topic]))
@@ -122,23 +146,22 @@ def _read_once(bag: BagFile, calibration: PalvioCalibration) -> _Contents:
         raise DatasetError(f"topic '{image_topic}' has no image", bag.path)
     times = np.array(stamps)
     check_times(times, bag.path)
-    samples, _ = _checked_rows(rows[calibration.imu_topic], 7, calibration.imu_topic, bag.path)
-    poses, dropped = _checked_rows(rows[calibration.groundtruth_topic], 8, calibration.groundtruth_topic, bag.path)
+    samples, _ = _checked_rows(rows[wanted.imu_topic], 7, wanted.imu_topic, bag.path)
+    poses, dropped = _checked_rows(rows[wanted.groundtruth_topic], 8, wanted.groundtruth_topic, bag.path)
     imu, body = None, None
     if len(samples):
-        imu = Imu(samples[:, 0] - calibration.time_offset_s, samples[:, 1:4], samples[:, 4:7], calibration.body_T_cam)
+        imu = Imu(samples[:, 0] - wanted.time_offset_s, samples[:, 1:4], samples[:, 4:7])
     if len(poses):
         body = Trajectory(poses[:, 0], make_pose(matrix_from_quat(poses[:, 4:8]), poses[:, 1:4]))
     return _Contents(where, times, imu, body, dropped)
 
 
-def _checked_stamp(data: bytes, calibration: PalvioCalibration, path: Path, frame: int) -> float:
+def _checked_stamp(data: bytes, size: tuple[int, int], path: Path, frame: int) -> float:
     """An image's stamp in seconds, once its size is known to be the calibration's."""
-    header, native = parse_image_header(data, path, frame), calibration.camera
-    if (header.width, header.height) != (native.width, native.height):
+    header = parse_image_header(data, path, frame)
+    if (header.width, header.height) != size:
         raise DatasetError(
-            f"the image is {header.width}x{header.height} pixels, "
-            f"the calibration is for {native.width}x{native.height}",
+            f"the image is {header.width}x{header.height} pixels, the calibration is for {size[0]}x{size[1]}",
             path,
             frame=frame,
         )
@@ -239,7 +262,7 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
     truth_path, imu_path = folder / "groundtruth.tum", folder / "imu.csv"
     imu = read_imu_csv(imu_path) if imu_path.is_file() else None
     if imu is not None:
-        imu = Imu(imu.times - calibration.time_offset_s, imu.gyro, imu.accel, calibration.body_T_cam)
+        imu = Imu(imu.times - calibration.time_offset_s, imu.gyro, imu.accel)
     return ImageSource(
         dataset="palvio",
         name=name,

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import Sequence
+from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.open import open_sequence
 from panobench.datasets.palvio import Palvio
 from panobench.datasets.palvio_calibration import find_calibration, published_calibration
@@ -110,6 +111,7 @@ def test_imu_is_on_the_camera_s_clock_and_agrees_with_the_motion(bag: Path) -> N
     assert truth is not None
     assert imu.times[0] == pytest.approx(sequence.times[0], abs=1e-6)
     assert sequence.body_T_cam is not None
+    np.testing.assert_array_equal(imu.T_body_cam, sequence.body_T_cam)
     body = truth.T_wc @ invert_pose(sequence.body_T_cam)
     dt = truth.times[4] - truth.times[3]
     rate = so3_log(body[3, :3, :3].T @ body[4, :3, :3]) / dt
@@ -121,7 +123,26 @@ def test_imu_is_on_the_camera_s_clock_and_agrees_with_the_motion(bag: Path) -> N
     np.testing.assert_allclose(imu.accel[middle - 5 : middle + 5].mean(axis=0), force, atol=0.3)
 
 
-def test_published_calibration_has_the_published_numbers() -> None:
+def test_a_converted_sequence_says_where_its_own_camera_sits(bag: Path) -> None:
+    source = Palvio(bag).open()
+    choice = parse_camera_option("erp", source.camera, 64)
+    converted = ConvertedSequence(source, choice.camera, choice.R_target_source)
+    imu = converted.imu
+    assert imu is not None
+    assert converted.body_T_cam is not None
+    np.testing.assert_allclose(np.asarray(imu.T_body_cam), converted.body_T_cam, atol=1e-12)
+    assert converted.groundtruth is not None
+    assert source.groundtruth is not None
+    assert source.body_T_cam is not None
+    # Both cameras give the same body poses.
+    np.testing.assert_allclose(
+        converted.groundtruth.T_wc @ invert_pose(converted.body_T_cam),
+        source.groundtruth.T_wc @ invert_pose(source.body_T_cam),
+        atol=1e-9,
+    )
+
+
+def test_built_in_calibration_has_the_published_numbers() -> None:
     camera = published_calibration().camera
     # theta = 90 degrees lies at r = 376.9 px.
     pixel, valid = camera.project(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]))
