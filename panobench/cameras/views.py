@@ -58,19 +58,19 @@ def look_rotation(lon_deg: float, lat_deg: float = 0.0, roll_deg: float = 0.0) -
 
 
 def view_rotation(name: str) -> Array:
-    """R_target_source (3, 3) of a named view, or of "LON,LAT" in degrees. Raises UnknownNameError."""
+    """R_target_source (3, 3) of a named view, or of "LON,LAT" or "LON,LAT,ROLL" in degrees. Raises UnknownNameError."""
     if name in VIEW_DIRECTIONS:
         return look_rotation(*VIEW_DIRECTIONS[name])
     parts = name.split(",")
-    if len(parts) == 2:
+    if len(parts) in (2, 3):
         try:
-            lon, lat = float(parts[0]), float(parts[1])
+            angles = [float(p) for p in parts]
         except ValueError:
             pass
         else:
-            if not (np.isfinite(lon) and -90 <= lat <= 90):
+            if not (np.isfinite(angles).all() and -90 <= angles[1] <= 90):
                 raise UsageError(f"view '{name}': a latitude lies in -90..90 degrees")
-            return look_rotation(lon, lat)
+            return look_rotation(*angles)
     raise UnknownNameError("view", name, VIEW_DIRECTIONS)
 
 

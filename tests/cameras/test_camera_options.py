@@ -130,6 +130,7 @@ def test_any_direction() -> None:
     assert label == "pinhole-30,-20"
     # Right of the view stays horizontal; a roll turns clockwise, so the scene turns the other way.
     assert R[0, 1] == pytest.approx(0)
+    assert np.array_equal(view_rotation("0,0,180"), np.diag([-1.0, -1.0, 1.0]))
     assert look_rotation(0, 0, 90) @ [0, -1, 0] == pytest.approx([-1, 0, 0])
 
 

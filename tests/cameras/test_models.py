@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_strategies import QUICK, STRATEGIES
+from camera_strategies import EXAMPLES, QUICK, STRATEGIES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -206,3 +207,11 @@ def test_nothing_comes_from_nan_or_the_centre(model: str) -> None:
 
 def test_every_registered_model_is_tested() -> None:
     assert set(load_registry(entry_points=False).specs(CameraSpec)) == set(STRATEGIES)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_parameter_is_documented(model: str) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "cameras" / f"{model}.md").read_text(encoding="utf-8")
+    missing = [f.name for f in dataclasses.fields(EXAMPLES[model]) if f.name != "mask" and f"`{f.name}`" not in page]
+    assert missing == []
+    assert "Source" in page
