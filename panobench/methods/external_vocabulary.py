@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import Dataset, Sequence
 from panobench.errors import InputError, UnavailableError
 
 #: Names the vocabulary for all adapters that need one.
@@ -52,7 +52,7 @@ def find_vocabulary(option: str, sequence: Sequence, log: Callable[[str], None])
     named = named_vocabulary(option)
     if named is not None:
         return named
-    rooms = [name for name in ROOMS if not (sequence.dataset == "rooms" and sequence.name.startswith(name))]
+    rooms = training_rooms(sequence)
     settings = f"{rooms} {TRAINING_FRAMES} {TRAINING_STEP} {TRAINING_WIDTH} {FEATURES} {BRANCHES} {LEVELS}"
     path = cache_folder() / f"orb-{hashlib.sha256(settings.encode()).hexdigest()[:16]}.txt"
     if not path.exists():
@@ -73,18 +73,28 @@ def cache_folder() -> Path:
     return cache_root() / "orb-vocabulary"
 
 
-def room_images(rooms: list[str]) -> Iterator[NDArray[np.uint8]]:
-    """Panoramas of built-in rooms, without the stretched rows near the poles."""
+def training_rooms(sequence: Sequence) -> list[str]:
+    """The built-in rooms but the one that ``sequence`` shows. Raises UnavailableError if none is left."""
+    names = _rooms().sequences()
+    own = sequence.name if sequence.dataset == "rooms" else ""
+    rooms = [name for name in ROOMS if name in names and not own.startswith(name)]
+    if not rooms:
+        raise UnavailableError(f"no ORB vocabulary: name one in {VARIABLE} (no other room is there to train one on)")
+    return rooms
+
+
+def _rooms() -> Dataset:
     from panobench.plugins import registry
     from panobench.specs import DatasetSpec
 
-    spec = registry().specs(DatasetSpec).get("rooms")
-    if spec is None:
-        raise UnavailableError(
-            f"no ORB vocabulary: name one in {VARIABLE} (the built-in rooms are not there to train on)"
-        )
+    dataset: Dataset = registry().get(DatasetSpec, "rooms").load()(None)
+    return dataset
+
+
+def room_images(rooms: list[str]) -> Iterator[NDArray[np.uint8]]:
+    """Panoramas of built-in rooms, without the stretched rows near the poles."""
     for room in rooms:
-        sequence = spec.load()(None).open(room, width=TRAINING_WIDTH)
+        sequence = _rooms().open(room, width=TRAINING_WIDTH)
         for i in range(0, min(TRAINING_FRAMES, len(sequence)), TRAINING_STEP):
             image = sequence.image(i)
             yield image[image.shape[0] // 6 : image.shape[0] * 5 // 6]
