@@ -16,6 +16,8 @@ from panobench.cameras.base import Camera
 from panobench.depth.base import DepthEstimator
 from panobench.geometry import invert_pose, renormalise
 from panobench.photometric.align import AlignOptions, align, make_reference
+from panobench.photometric.bundle import refine
+from panobench.photometric.planar import depth_information, planar_filter
 from panobench.photometric.pyramid import F32, luma_of_frame, pyramid
 from panobench.photometric.sweep import pick_shell, semi_global, smooth_cost, sweep_cost
 from panobench.photometric.warp import camera_code
@@ -34,15 +36,22 @@ class BootstrapOptions:
     min_frames: int = 4
     frames: int = 12
     wait: int = 60
-    rounds: int = 6
+    rounds: int = 3
     shells: int = 96
     near: float = 0.2
     far: float = 15.0
     sigma_px: float = 1.0
-    truncation: float = 0.08
-    p1: float = 0.004
-    p2: float = 0.04
+    truncation: float = 0.15
+    p1: float = 0.001
+    p2: float = 0.02
     edge: float = 20.0
+    bundle: int = 1
+    planar_passes: int = 1
+    planar_radius: int = 12
+    planar_stride: int = 2
+    planar_luma: float = 0.05
+    planar_depth: float = 0.03
+    planar_floor: float = 0.01
 
 
 MEDIAN_DEPTH = 2.0
@@ -131,6 +140,7 @@ class BootstrapDepth(DepthEstimator):
             for T in self.T_fr:
                 T[:3, 3] *= scale
             self._realign(depth)
+            self._bundle(used, depth)
             if round_ >= 1:  # the coarse shape is known: spend the shells on the range that occurs
                 low, high = np.percentile(depth[self.valid], [0.5, 99.5]) / MEDIAN_DEPTH
                 near, far = max(0.7 * float(low), o.near), min(1.4 * float(high), o.far)
@@ -159,7 +169,22 @@ class BootstrapDepth(DepthEstimator):
         total = semi_global(cost, np.nan_to_num(luma), np.float32(o.p1), np.float32(o.p2), np.float32(o.edge), wrap)
         depth, confidence = np.empty(self.valid.shape, np.float32), np.empty(self.valid.shape, np.float32)
         pick_shell(total, log_near, step, depth, confidence)
-        return self._median(depth), confidence
+        return self._planar(self._median(depth), images, R, t), confidence
+
+    def _planar(self, depth: F32, images: F32, R: F32, t: F32) -> F32:
+        """The depth under the prior that surfaces are piecewise planar."""
+        o, luma = self.options, self.pyramids[0][0]
+        out, information = np.empty_like(depth), np.empty_like(depth)
+        for _ in range(o.planar_passes):
+            depth_information(luma, depth, self.rays, images, R, t, self.code, self.cam, information)
+            floor = o.planar_floor * float(np.median(information[self.valid]))
+            weights = np.where(self.valid, information, 0).astype(np.float32)
+            planar_filter(
+                depth, weights, np.nan_to_num(luma), self.rays, o.planar_radius, o.planar_stride,
+                o.planar_luma, o.planar_depth, floor, self.full.kind == "erp", out,
+            )  # fmt: skip
+            depth = out.copy()
+        return depth
 
     def _median(self, depth: F32) -> F32:
         if self.full.kind != "erp":
@@ -173,6 +198,16 @@ class BootstrapDepth(DepthEstimator):
         self.reference = make_reference(self.camera, levels[0], masked, len(levels), self.align_options)
         for k in range(1, len(self.frames)):
             self.T_fr[k] = align(self.reference, self.pyramids[k], self.T_fr[k], self.align_options).T_fr
+
+    def _bundle(self, used: NDArray[np.intp], depth: F32) -> None:
+        """Poses of the frames ``used`` and depths together; the other frames follow at the next alignment."""
+        if not self.options.bundle:
+            return
+        images = np.stack([self.pyramids[k][0] for k in used])
+        T = np.stack([self.T_fr[k] for k in used])
+        T, _ = refine(self.pyramids[0][0], self.rays, depth, images, T, self.code, self.cam)
+        for k, pose in zip(used, T):
+            self.T_fr[k] = pose
 
     def _full_size(self, image: F32) -> F32:
         """Up to the camera's size, across the seam."""
