@@ -44,6 +44,8 @@ def code_fingerprint(implementations: Iterable[str]) -> str:
         name = waiting.pop()
         if name in modules or name.partition(".")[0] not in packages or _is_not_results(name):
             continue
+        if name not in roots and _spec(name) is None:
+            continue  # a name imported from a module, not a module
         source = _source(name)
         modules[name] = source or _version_of(name)
         waiting += _imports(name)
@@ -76,6 +78,10 @@ def _is_not_results(name: str) -> bool:
 
 @cache
 def _spec(name: str) -> Any:
+    """Where a module is. Only packages above it are imported, never a module to look for a name in it."""
+    parent = name.rpartition(".")[0]
+    if parent and not _is_package(parent):
+        return None
     try:
         return importlib.util.find_spec(name)
     except (ImportError, ValueError, AttributeError):
@@ -105,7 +111,7 @@ def _version_of(name: str) -> str:
 
 @cache
 def _imports(name: str) -> list[str]:
-    """Names of modules a module may import: those it names, and the packages around them."""
+    """What a module may import: the modules it names, and the names it takes from them."""
     try:
         tree = ast.parse(_source(name) or "")
     except SyntaxError:
@@ -121,15 +127,11 @@ def _imports(name: str) -> list[str]:
                 parent = package.split(".")[: len(package.split(".")) - node.level + 1]
                 base = ".".join([*parent, *([base] if base else [])])
             found.add(base)
-            # "from package import module" names a module too
-            found.update(f"{base}.{alias.name}" for alias in node.names if _spec_below(base, alias.name))
+            # "from package import module" names a module too; which of them are is seen when they are looked up
+            found.update(f"{base}.{alias.name}" for alias in node.names if alias.name != "*")
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             found.update(_lazy_reference(node.value))
     return sorted(f for f in found if f)
-
-
-def _spec_below(base: str, name: str) -> bool:
-    return name != "*" and _is_package(base) and _spec(f"{base}.{name}") is not None
 
 
 def _lazy_reference(text: str) -> set[str]:

@@ -122,11 +122,12 @@ def _watch(child: subprocess.Popen[bytes], job: dict[str, Any], result: Result, 
 
 
 def _ask_to_stop(child: subprocess.Popen[bytes], grace_s: float) -> None:
-    """Ctrl-C for the command itself; it may still write what it has."""
-    with contextlib.suppress(ProcessLookupError):
-        child.send_signal(signal.SIGINT)
-    with contextlib.suppress(subprocess.TimeoutExpired, Stopped):
-        child.wait(grace_s)
+    """Ctrl-C for the command itself, twice if need be; it may still write what it has."""
+    for _ in range(2):
+        with contextlib.suppress(subprocess.TimeoutExpired, Stopped):
+            child.send_signal(signal.SIGINT)
+            child.wait(grace_s / 2)
+            return
 
 
 def kill_descendants() -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from panobench.bench import isolated
 from panobench.bench.cells import Cell, Limits, Planned, Planner
 from panobench.bench.isolated import InfrastructureError, Stopper, run_isolated
 from panobench.bench.request import RunRequest
@@ -240,6 +241,7 @@ def test_isolation(tmp_path: Path, method: str, limits: dict[str, float], status
 @pytest.mark.slow
 def test_children_of_a_killed_run_are_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_PIDS", str(tmp_path / "pids"))
+    monkeypatch.setattr(isolated, "GRACE_S", 6.0)
     (tmp_path / "place").mkdir()
     stopper = Stopper()
     found: list[Path] = []
@@ -312,7 +314,7 @@ def test_kill_9_at_twenty_random_moments(tmp_path: Path) -> None:
             victims = rng.sample(sorted(seen or finished(tmp_path)), 3)
             for name in victims:
                 (store / "runs" / name).rename(tmp_path / f"gone-{kills}-{name}")
-            seen = {k: v for k, v in finished(tmp_path).items()}
+            seen = finished(tmp_path)
             continue
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGKILL)
