@@ -6,7 +6,9 @@ import pytest
 from panobench.geometry import hat, se3_exp, so3_exp
 from panobench.methods.sparse.absolute import p3p, pose_ransac
 from panobench.methods.sparse.adjust import bundle_adjust, pose_errors, solve_pose
+from panobench.methods.sparse.descriptors import describe, match
 from panobench.methods.sparse.mapping import ray_distance
+from panobench.methods.sparse.posegraph import Similarities, optimise_pose_graph
 from panobench.methods.sparse.twoview import decompose, epipolar_angle, essential_ransac, five_point, triangulate
 
 
@@ -188,3 +190,59 @@ def test_bundle_adjustment_marks_the_outlier(rng):
     result = bundle_adjust(T, X, kf, pt, b, fixed, 160.0, 1.0, 20)
     assert np.argmax(result.errors) == 11
     assert np.median(np.delete(result.errors, 11)) < 0.1
+
+
+def test_pose_graph_spreads_the_loop_error():
+    """A circle walked with a little scale and yaw drift closes again, and an exact graph stays put."""
+    n = 24
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    R = so3_exp(np.stack([0 * angle, angle, 0 * angle], axis=1))
+    t = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1) * 2
+    truth = Similarities(np.ones(n), R, t)
+    i, j = np.arange(n - 1), np.arange(1, n)
+    steps = truth.between(i, j)
+    still = optimise_pose_graph(truth, i, j, steps, np.ones(n - 1))
+    np.testing.assert_allclose(still.t, t, atol=1e-9)
+
+    drifted = Similarities(np.full(n - 1, 1.02), steps.R @ so3_exp([0, 0.01, 0]), steps.t)
+    walked = truth.copy()
+    for a, b in zip(i, j):
+        walked.R[b] = walked.R[a] @ drifted.R[a]
+        walked.t[b] = walked.scale[a] * walked.R[a] @ drifted.t[a] + walked.t[a]
+        walked.scale[b] = walked.scale[a] * drifted.scale[a]
+    closing = truth.between(np.array([0]), np.array([n - 1]))
+    closed = optimise_pose_graph(
+        walked,
+        np.append(i, 0),
+        np.append(j, n - 1),
+        Similarities(
+            np.append(drifted.scale, closing.scale),
+            np.concatenate([drifted.R, closing.R]),
+            np.concatenate([drifted.t, closing.t]),
+        ),
+        np.append(np.ones(n - 1), 1e4),
+    )
+    before = np.linalg.norm(walked.t - t, axis=1).max()
+    assert np.linalg.norm(closed.t[-1] - t[-1]) < 0.01
+    assert closed.scale[-1] == pytest.approx(1, abs=0.01)
+    assert np.linalg.norm(closed.t - t, axis=1).max() < 0.4 * before
+    np.testing.assert_array_equal(closed.t[0], walked.t[0])
+
+
+def test_descriptors_survive_rotation_in_the_image(rng):
+    import cv2
+
+    images = [cv2.GaussianBlur(rng.uniform(0, 255, (48, 48)).astype(np.float32), (0, 0), 2.5) for _ in range(60)]
+    turn = cv2.getRotationMatrix2D((23.5, 23.5), 40.0, 1.0)
+
+    def templates(pictures):
+        crops = [p[16:32, 16:32] for p in pictures]
+        wide = [cv2.resize(p[8:40, 8:40], (16, 16), interpolation=cv2.INTER_AREA) for p in pictures]
+        return np.stack([crops, crops, wide], axis=1).astype(np.float32)
+
+    a = describe(templates(images))
+    b = describe(templates([cv2.warpAffine(p, turn, (48, 48)) for p in images]))
+    assert a.shape == (60, 32)
+    left, right = match(a, b)
+    assert len(left) > 40
+    assert (left == right).mean() > 0.95

@@ -6,11 +6,13 @@ from sparse_scenes import view, walk
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.geometry import so3_exp, so3_log, umeyama
+from panobench.geometry import Sim3, invert_pose, make_pose, so3_exp, so3_log, umeyama
 from panobench.methods.base import MethodContext
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.faces import build_rig
 from panobench.methods.sparse.method import SparseMethod
+from panobench.methods.sparse.pointmap import DEAD
+from panobench.methods.sparse.rotation import RotationFinder
 from panobench.types import Frame
 
 N = 24
@@ -130,6 +132,93 @@ def test_black_frames_in_between_are_lost_not_invented(panoramas):
     assert 12 not in index
     assert len(index) >= N - 2
     assert ate < 0.006
+
+
+def test_kidnapped_camera_is_found_again(panoramas):
+    """A jump the motion model knows nothing of, behind black frames; descriptors must find the place."""
+    camera, truth, images = panoramas
+    black = np.zeros_like(images[0])
+    shown = [*images[:18], black, black, *images[6:0:-1]]
+    poses = np.concatenate([truth[:18], truth[:2], truth[6:0:-1]])
+    estimate, live = run(camera, shown)
+    ate, _, index = errors(estimate, poses)
+    assert live[18] is None
+    assert live[19] is None
+    assert all(p is not None for p in live[20:])
+    assert estimate.extra["maps"] == 1
+    assert estimate.extra["relocalised"] >= 1
+    assert len(index) == len(shown) - 2
+    assert ate < 0.006
+
+
+def inject_drift(session, first, scale, turn):
+    """Move keyframes from ``first`` on, and all that hangs on them, by a similarity, cutting what ties them back."""
+    m = session.map
+    S = Sim3(scale, so3_exp(turn), np.array([0.05, -0.02, 0.08]))
+    newer = m.anchor >= first
+    for k in m.keyframes:
+        k.drop(newer[k.points] != (k.number >= first))
+        if k.number >= first:
+            k.T_cw = invert_pose(S.apply_poses(invert_pose(k.T_cw)))
+    m.position[newer] = S.apply_points(m.position[newer])
+    m.state[~newer & (m.last_seen > m.keyframes[first].frame)] = DEAD
+    for record in session.records:
+        if record.keyframe >= first:
+            record.T_ck[:3, 3] *= scale
+    session.T_cw = m.keyframes[-1].T_cw
+    session.velocity = np.eye(4)
+
+
+def turn_around(loops):
+    """A narrow camera turns once around the room; half-way the map is torn and its newer part scaled and turned."""
+    camera = PinholeCamera.from_fov(320, 65, 52)
+    angle = np.linspace(0, 2 * np.pi * 1.1, 90)
+    centre = np.stack([0.9 * np.sin(angle), 0.1 * np.sin(2 * angle), 0.7 * np.cos(angle)], axis=1)
+    truth = make_pose(so3_exp(np.stack([0 * angle, angle, 0 * angle], axis=1)), centre)
+    method = SparseMethod(SparseConfig(features=300, loops=loops))
+    method.start(camera, MethodContext())
+    for i, T in enumerate(truth):
+        method.track(Frame(i, 0.1 * i, view(camera, T)))
+        if i == 45:
+            inject_drift(method.session, len(method.session.map.keyframes) - 4, 1.12, [0.02, 0.08, -0.01])
+    return method.finish(), truth
+
+
+@pytest.mark.slow
+def test_loop_closure_takes_out_drift():
+    (torn, truth), (closed, _) = turn_around(False), turn_around(True)
+    assert torn.extra["loops"] == 0
+    assert closed.extra["loops"] >= 1
+    assert errors(torn, truth)[0] > 0.03  # the tear was real
+    assert errors(closed, truth)[0] < 0.01
+    assert len(closed.trajectory) > 0.95 * len(truth)
+
+
+@pytest.mark.parametrize("step_deg", [2.0, 12.0])
+def test_rotation_finder_measures_a_turn(panoramas, step_deg):
+    camera, truth, _ = panoramas
+    rig = build_rig(camera, 10**6, 4)
+    finder = RotationFinder(rig, 4)
+    assert np.array_equal(finder.rotation(), np.eye(3))
+    axis = np.array([0.3, 0.9, -0.2]) / np.linalg.norm([0.3, 0.9, -0.2])
+    turn = so3_exp(np.deg2rad(step_deg) * axis)  # takes rays of the first frame to the second's
+    for T in (truth[0], truth[0] @ make_pose(turn.T, np.zeros(3))):
+        finder.push(rig.pyramid(view(camera, T), 4))
+    found = finder.rotation()
+    assert np.degrees(np.linalg.norm(so3_log(found @ turn.T))) < 0.2
+
+
+def test_turning_pinhole_camera_makes_no_map():
+    """Rotation alone must not be taken for parallax, noise or not."""
+    camera = PinholeCamera.from_fov(400, 70, 55)
+    rng = np.random.default_rng(5)
+    images = []
+    for i in range(10):
+        image = view(camera, make_pose(so3_exp([0, 0.06 * i, 0.01 * i]), [0.2, 0, 0.1]))
+        images.append(np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8))
+    estimate, live = run(camera, images)
+    assert live == [None] * 10
+    assert len(estimate.trajectory) == 0
 
 
 def test_cube_faces_cover_the_sphere_once():

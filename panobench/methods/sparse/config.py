@@ -11,7 +11,7 @@ class SparseConfig:
 
     features:           corners wanted per keyframe, shared over the faces.
     face_pixels:        most pixels all tangent faces together may have; larger images are reduced to it.
-    levels:             pyramid levels of the patch alignment.
+    levels:             pyramid levels of the patch alignment (0: by the resolution).
     huber_px:           where the residual's loss turns linear.
     min_zncc:           least correlation of an aligned patch with its template.
     init_parallax:      median angle the tracks must show, rotation removed, before two views are tried.
@@ -22,13 +22,14 @@ class SparseConfig:
     window:             keyframes refined by the local bundle adjustment.
     min_inliers:        fewer points than this and the frame is lost.
     loops:              look for loop closures.
+    restart_after:      a new map is begun after this many lost frames in a row (the longest one is the answer).
     refit:              at the end, solve every frame's pose again against the refined points.
     final_ba:           iterations of bundle adjustment over all keyframes at the end (0: none).
     """
 
     features: int = 700
     face_pixels: int = 1_000_000
-    levels: int = 3
+    levels: int = 0
     huber_px: float = 1.0
     min_zncc: float = 0.75
     init_parallax: float = 1.5
@@ -39,5 +40,6 @@ class SparseConfig:
     window: int = 8
     min_inliers: int = 20
     loops: bool = True
+    restart_after: int = 20
     refit: bool = True
     final_ba: int = 10

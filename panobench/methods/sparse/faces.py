@@ -82,6 +82,11 @@ class FaceRig:
         return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
+def levels_for(focal: float) -> int:
+    """Pyramid levels such that the coarsest has about 25 pixels per radian, three at least."""
+    return int(np.clip(1 + round(np.log2(focal / 25.0)), 3, 5))
+
+
 def build_rig(camera: Camera, max_pixels: int, levels: int) -> FaceRig:
     """Choose faces for a camera. The face resolution follows the camera's mean angular resolution over the sphere."""
     valid = camera.valid_mask()

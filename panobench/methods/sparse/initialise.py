@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from panobench.geometry import make_pose
 from panobench.methods.sparse.adjust import bundle_adjust, pose_errors, solve_pose
 from panobench.methods.sparse.config import SparseConfig
+from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners
 from panobench.methods.sparse.faces import FaceRig
 from panobench.methods.sparse.patches import align_level, cut_templates
-from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, Keyframe, PointMap
+from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, Keyframe, PointMap
 from panobench.methods.sparse.tracking import LIMITS, Pyramid
 from panobench.methods.sparse.twoview import essential_ransac
 
@@ -57,16 +58,17 @@ class Initialiser:
         self.templates = cut_templates(pyramid, self.rig.R_fc, self.rig.intrinsics, corners, self.rig.focal)
         self.current = corners.copy()
         self.alive = np.ones(len(corners), bool)
-        self.spin = np.eye(3)
         self.glimpses = [Glimpse(index, time, True, np.eye(3), np.arange(len(corners)), corners.copy())]
 
-    def add(self, pyramid: Pyramid, index: int, time: float, mappable: bool) -> tuple[PointMap, list[Glimpse]] | None:
-        """The map and the frames it explains, or None: more frames, please."""
+    def add(
+        self, pyramid: Pyramid, index: int, time: float, mappable: bool, spin: Array
+    ) -> tuple[PointMap, list[Glimpse]] | None:
+        """The map and the frames it explains, or None: more frames, please. spin: rotation from the frame before."""
         if not self.glimpses:
             if mappable:
                 self._start(pyramid, index, time)
             return None
-        R = self._follow(pyramid)
+        R = self._follow(pyramid, spin)
         if R is None:
             self.reset()
             if mappable:
@@ -76,8 +78,10 @@ class Initialiser:
         self.glimpses.append(Glimpse(index, time, mappable, R, tracks, self.current[tracks].copy()))
         turned = self.anchors[tracks] @ R.T
         parallax = np.degrees(np.arccos(np.clip(np.sum(turned * self.current[tracks], axis=1), -1, 1)))
-        shrinking = len(tracks) < 0.5 * len(self.anchors)
-        needed = self.config.init_parallax * (0.5 if shrinking else 1.0)
+        # In a narrow view sideways motion passes for rotation and hides the parallax: as corners leave the view,
+        # try two-view geometry earlier and let its own parallax decide.
+        leaving = len(tracks) < 0.7 * len(self.anchors)
+        needed = self.config.init_parallax * (0.1 if leaving else 1.0)
         if mappable and float(np.median(parallax)) > needed:
             built = self._build(pyramid)
             if built is not None:
@@ -88,11 +92,11 @@ class Initialiser:
                 self._start(pyramid, index, time)
         return None
 
-    def _follow(self, pyramid: Pyramid) -> Array | None:
+    def _follow(self, pyramid: Pyramid, spin: Array) -> Array | None:
         """Track all corners into the frame; its rotation from the reference, or None when they are gone."""
         last = self.glimpses[-1].rotation
-        R = self.spin @ last
-        bearings = self.current @ self.spin.T
+        R = spin @ last
+        bearings = self.current @ spin.T
         ok = self.alive.copy()
         score = np.zeros(len(ok))
         zero = np.zeros(len(ok), np.int64)
@@ -127,9 +131,7 @@ class Initialiser:
         if int(ok.sum()) < self.config.min_inliers:
             return None
         self.alive, self.current = ok, bearings
-        R = _robust_rotation(self.anchors[ok], bearings[ok])
-        self.spin = R @ last.T
-        return R
+        return _robust_rotation(self.anchors[ok], bearings[ok])
 
     def _build(self, pyramid: Pyramid) -> PointMap | None:
         focal = self.rig.focal
@@ -194,7 +196,7 @@ class Initialiser:
         chosen: list[int],
         scale: float,
     ) -> PointMap:
-        m = PointMap(self.config.levels)
+        m = PointMap(self.templates.shape[1])
         # Corners that did not make it keep being tracked, as candidates at the median distance.
         position = self.anchors * MEDIAN_DISTANCE
         position[tracks[good]] = points[good]
@@ -208,8 +210,9 @@ class Initialiser:
             bearing=self.current,
             last_seen=self.glimpses[-1].index,
             template=self.templates,
+            descriptor=describe(self.templates),
         )
-        m.state[(m.state == CANDIDATE) & ~self.alive] = 2
+        m.state[(m.state == CANDIDATE) & ~self.alive] = DEAD
         for number, (g, T) in enumerate(zip(chosen, T_cw)):
             T = T.copy()
             T[:3, 3] *= scale

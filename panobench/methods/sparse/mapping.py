@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from panobench.geometry import invert_pose
 from panobench.methods.sparse.adjust import bundle_adjust
 from panobench.methods.sparse.config import SparseConfig
+from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners
 from panobench.methods.sparse.faces import FaceRig
 from panobench.methods.sparse.patches import cut_templates
@@ -49,6 +50,7 @@ def add_candidates(
         gap, near = cKDTree(seen[known]).query(fresh, k=3)
         weight = 1.0 / (gap + 1e-3)
         distance = np.sum(weight, axis=1) / np.sum(weight / depth[near], axis=1)
+    templates = cut_templates(pyramid, rig.R_fc, rig.intrinsics, fresh, rig.focal)
     ids = m.add(
         len(fresh),
         state=CANDIDATE,
@@ -57,7 +59,8 @@ def add_candidates(
         bearing=fresh,
         last_seen=keyframe.frame,
         position=(fresh * distance[:, None]) @ T_wc[:3, :3].T + T_wc[:3, 3],
-        template=cut_templates(pyramid, rig.R_fc, rig.intrinsics, fresh, rig.focal),
+        template=templates,
+        descriptor=describe(templates),
     )
     keyframe.points = np.concatenate([keyframe.points, ids])
     keyframe.bearings = np.concatenate([keyframe.bearings, fresh])
@@ -167,5 +170,6 @@ def reanchor(
     if len(ids) == 0:
         return
     m.template[ids] = cut_templates(pyramid, rig.R_fc, rig.intrinsics, b, rig.focal)
+    m.descriptor[ids] = describe(m.template[ids])
     m.anchor[ids] = keyframe.number
     m.anchor_bearing[ids] = b

@@ -2,24 +2,28 @@
 
 The camera model is used once, to cut tangent faces out of each image (``faces``). Corners are followed by aligning
 stored tangent-plane templates (``patches``); two views start the map (``initialise``); every frame's pose is solved
-against it (``tracking``); keyframes grow it and local bundle adjustment refines it (``mapping``).
+against it (``tracking``); keyframes grow it and local bundle adjustment refines it (``mapping``); a lost camera is
+found again by descriptors (``relocalise``) and old places close loops (``loop``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.geometry import invert_pose, renormalise
+from panobench.geometry import invert_pose, make_pose, renormalise
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.sparse.adjust import pose_errors, solve_pose
 from panobench.methods.sparse.config import SparseConfig
-from panobench.methods.sparse.faces import FaceRig, build_rig
+from panobench.methods.sparse.faces import FaceRig, build_rig, levels_for
 from panobench.methods.sparse.initialise import Glimpse, Initialiser, solve_glimpse
+from panobench.methods.sparse.loop import close_loop, detect_loop
 from panobench.methods.sparse.mapping import (
     add_candidates,
     adjust_window,
@@ -29,10 +33,37 @@ from panobench.methods.sparse.mapping import (
     reanchor,
 )
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
+from panobench.methods.sparse.relocalise import relocalise
+from panobench.methods.sparse.rotation import RotationFinder
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame, update_candidates
 from panobench.types import Estimate, Frame, Trajectory
 
 Array = NDArray[np.float64]
+
+#: A map with fewer keyframes than this is given up soon when tracking fails: it was probably wrong.
+YOUNG = 6
+#: Keyframes between two loop closures.
+LOOP_PAUSE = 8
+#: Face sizes are multiples of 2^(MOST_LEVELS - 1).
+MOST_LEVELS = 5
+
+
+@dataclass
+class Session:
+    """One map and the frames tracked in it. velocity: last frame's camera to this one's."""
+
+    map: PointMap
+    records: list[FrameRecord] = field(default_factory=list)
+    T_cw: Array = field(default_factory=lambda: np.eye(4))
+    velocity: Array = field(default_factory=lambda: np.eye(4))
+    lost: int = 0
+    last_loop: int = 0
+    loops: int = 0
+    relocalised: int = 0
+
+    def pose_of(self, record: FrameRecord) -> Array:
+        """T_cw (4, 4) by the keyframe as it is now."""
+        return renormalise(record.T_ck @ self.map.keyframes[record.keyframe].T_cw)
 
 
 class SparseMethod(OnlineMethod):
@@ -46,35 +77,34 @@ class SparseMethod(OnlineMethod):
 
     def start(self, camera: Camera, context: MethodContext) -> None:
         self.context = context
-        self.rig = build_rig(camera, self.config.face_pixels, self.config.levels)
+        self.rig = build_rig(camera, self.config.face_pixels, self.config.levels or MOST_LEVELS)
+        self.levels = self.config.levels or levels_for(self.rig.focal)
+        self.finder = RotationFinder(self.rig, self.levels)
         self.rng = np.random.default_rng(context.seed)
         self.pool = ThreadPoolExecutor(2)
         self.initialiser = Initialiser(self.rig, self.config, self.rng, self.pool)
-        self.map: PointMap | None = None
-        self.records: list[FrameRecord] = []
+        self.session: Session | None = None
+        self.former: list[Session] = []
         self.numbers: dict[int, dict[str, float]] = {}
-        self.T_cw = np.eye(4)
-        self.velocity = np.eye(4)
-        self.last_index = -1
-        self.lost = 0
 
     def track(self, frame: Frame) -> Array | None:
-        pyramid = self.rig.pyramid(frame.image, self.config.levels)
-        if self.map is None:
-            return self._initialise(pyramid, frame)
-        return self._track(pyramid, frame)
+        pyramid = self.rig.pyramid(frame.image, self.levels)
+        self.finder.push(pyramid)
+        if self.session is not None:
+            return self._track(self.session, pyramid, frame)
+        T_wc = self._resume(pyramid, frame)
+        return self._initialise(pyramid, frame) if T_wc is None else T_wc
 
     # -- before there is a map ---------------------------------------------------------------------------------
 
     def _initialise(self, pyramid: Pyramid, frame: Frame) -> Array | None:
-        built = self.initialiser.add(pyramid, frame.index, frame.time, frame.mappable)
+        built = self.initialiser.add(pyramid, frame.index, frame.time, frame.mappable, self.finder.rotation())
         if built is None:
             return None
-        self.map, glimpses = built
-        m = self.map
+        m, glimpses = built
+        session = Session(m)
         focal = self.rig.focal
-        everything = [k.number for k in m.keyframes]
-        adjust_window(m, self.config, focal, everything, 10)
+        adjust_window(m, self.config, focal, [k.number for k in m.keyframes], 10)
         newest = m.keyframes[-1]
         where = np.where(m.state == ACTIVE, np.arange(m.size), -1)
         known = {k.frame: k for k in m.keyframes}
@@ -84,69 +114,92 @@ class SparseMethod(OnlineMethod):
                 T = key.T_cw
             else:
                 T = solve_glimpse(glimpse, m.position, where, newest.T_cw, focal, len(glimpses), position)
-            self._record(glimpse, T, key or m.keyframes[0], where)
+            session.records.append(_record_of(glimpse, T, key or m.keyframes[0], where))
         self.context.log(
             f"frame {frame.index}: map of {int((m.state == ACTIVE).sum())} points from {len(glimpses)} frames"
         )
         promote_candidates(m, self.config, newest)
         add_candidates(m, self.rig, self.config, pyramid, newest)
-        if len(self.records) >= 2:
-            before = self._pose_of(self.records[-2])
-            self.velocity = newest.T_cw @ invert_pose(before)
-        self.T_cw, self.last_index = newest.T_cw, frame.index
-        return invert_pose(self.T_cw)
+        if len(session.records) >= 2:
+            session.velocity = newest.T_cw @ invert_pose(session.pose_of(session.records[-2]))
+        session.T_cw = newest.T_cw
+        self.session = session
+        return invert_pose(session.T_cw)
 
-    def _record(self, glimpse: Glimpse, T_cw: Array, key: Keyframe, where: NDArray[np.int64]) -> None:
-        use = where[glimpse.tracks] >= 0
-        self.records.append(
-            FrameRecord(
-                glimpse.index,
-                glimpse.time,
-                key.number,
-                T_cw @ invert_pose(key.T_cw),
-                glimpse.tracks[use],
-                glimpse.bearings[use].astype(np.float32),
-            )
-        )
+    def _resume(self, pyramid: Pyramid, frame: Frame) -> Array | None:
+        """While a new map is being started: is this a place of the former one?"""
+        if not self.former or len(self.former[-1].map.keyframes) < YOUNG:
+            return None
+        session = self.former[-1]
+        tracked = relocalise(self._aligner(session), pyramid, frame.index, self.rng)
+        if tracked is None:
+            return None
+        self.context.log(f"frame {frame.index}: back in the former map")
+        self.former.pop()
+        self.session = session
+        return self._accept(session, pyramid, frame, tracked, found_again=True)
 
     # -- with a map --------------------------------------------------------------------------------------------
 
-    def _track(self, pyramid: Pyramid, frame: Frame) -> Array | None:
-        m = self.map
-        assert m is not None
-        aligner = Aligner(self.rig, self.config, m, self.pool)
-        tracked = None
-        for guess in (self.velocity @ self.T_cw, self.T_cw):
+    def _aligner(self, session: Session) -> Aligner:
+        return Aligner(self.rig, self.config, session.map, self.pool)
+
+    def _track(self, session: Session, pyramid: Pyramid, frame: Frame) -> Array | None:
+        aligner = self._aligner(session)
+        for guess in self._guesses(session):
             tracked = track_frame(aligner, pyramid, renormalise(guess), frame.index, self.config.min_inliers)
             if tracked is not None:
-                break
-        if tracked is None:
-            self.lost += 1
-            self.velocity = np.eye(4)
-            return None
-        self.lost = 0
+                return self._accept(session, pyramid, frame, tracked, found_again=session.lost > 0)
+        tracked = relocalise(aligner, pyramid, frame.index, self.rng)
+        if tracked is not None:
+            session.relocalised += 1
+            return self._accept(session, pyramid, frame, tracked, found_again=True)
+        if session.lost == 0:
+            self.context.log(f"frame {frame.index}: lost")
+        session.lost += 1
+        patience = self.config.restart_after if len(session.map.keyframes) >= YOUNG else self.config.restart_after // 4
+        if session.lost >= patience:
+            self.former.append(session)
+            self.session = None
+            self.initialiser.reset()
+        return None
+
+    def _guesses(self, session: Session) -> Iterator[Array]:
+        """Where the camera may be now, the likeliest first; the costlier ones are only made when asked for."""
+        if session.lost == 0:
+            yield session.velocity @ session.T_cw
+            yield make_pose(self.finder.rotation(), np.zeros(3)) @ session.T_cw
+        else:
+            yield session.T_cw
+
+    def _accept(
+        self, session: Session, pyramid: Pyramid, frame: Frame, tracked: Tracked, found_again: bool = False
+    ) -> Array:
+        m = session.map
+        if session.lost:
+            self.context.log(f"frame {frame.index}: found again after {session.lost} frames")
+        session.lost = 0
         update_candidates(m, tracked)
-        self.velocity = renormalise(tracked.T_cw @ invert_pose(self.T_cw))
-        self.T_cw = tracked.T_cw
+        session.velocity = np.eye(4) if found_again else renormalise(tracked.T_cw @ invert_pose(session.T_cw))
+        session.T_cw = tracked.T_cw
         self.numbers[frame.index] = {"points": float(len(tracked.points)), "error_px": tracked.error_px}
         reference = m.keyframes[-1]
-        if frame.mappable and self._wants_keyframe(frame, tracked):
-            reference = self._add_keyframe(pyramid, frame, tracked)
-        self.records.append(
+        if frame.mappable and self._wants_keyframe(m, frame, tracked):
+            reference = self._add_keyframe(session, pyramid, frame, tracked)
+        session.records.append(
             FrameRecord(
                 frame.index,
                 frame.time,
                 reference.number,
-                self.T_cw @ invert_pose(reference.T_cw),
+                session.T_cw @ invert_pose(reference.T_cw),
                 tracked.points,
                 tracked.bearings.astype(np.float32),
             )
         )
-        return invert_pose(self.T_cw)
+        return invert_pose(session.T_cw)
 
-    def _wants_keyframe(self, frame: Frame, tracked: Tracked) -> bool:
-        m, config = self.map, self.config
-        assert m is not None
+    def _wants_keyframe(self, m: PointMap, frame: Frame, tracked: Tracked) -> bool:
+        config = self.config
         last = m.keyframes[-1]
         centre = -tracked.T_cw[:3, :3].T @ tracked.T_cw[:3, 3]
         moved = float(np.linalg.norm(centre + last.T_cw[:3, :3].T @ last.T_cw[:3, 3]))
@@ -157,9 +210,8 @@ class SparseMethod(OnlineMethod):
         late = frame.index - last.frame >= config.keyframe_gap
         return moved > config.keyframe_distance * depth or thin or few or (late and moved > 0.01 * depth)
 
-    def _add_keyframe(self, pyramid: Pyramid, frame: Frame, tracked: Tracked) -> Keyframe:
-        m, config, focal = self.map, self.config, self.rig.focal
-        assert m is not None
+    def _add_keyframe(self, session: Session, pyramid: Pyramid, frame: Frame, tracked: Tracked) -> Keyframe:
+        m, config, focal = session.map, self.config, self.rig.focal
         key = Keyframe(
             len(m.keyframes),
             frame.index,
@@ -171,46 +223,75 @@ class SparseMethod(OnlineMethod):
         promote_candidates(m, config, key)
         drop_lost_candidates(m)
         adjust_window(m, config, focal, local_window(m, key.number, config.window), 6)
-        self.T_cw = key.T_cw
+        if config.loops and key.number >= session.last_loop + LOOP_PAUSE:
+            self._close_loop(session, pyramid, key)
+        session.T_cw = key.T_cw
         reanchor(m, self.rig, pyramid, key)
         add_candidates(m, self.rig, config, pyramid, key)
         return key
 
-    # -- the end -----------------------------------------------------------------------------------------------
+    def _close_loop(self, session: Session, pyramid: Pyramid, key: Keyframe) -> None:
+        m = session.map
+        loop = detect_loop(self._aligner(session), pyramid, key, self.rng)
+        if loop is None:
+            return
+        scales = close_loop(m, loop, session.records, self.rig.focal)
+        adjust_window(m, self.config, self.rig.focal, [k.number for k in m.keyframes], 10)
+        session.velocity[:3, 3] *= scales[key.number]
+        session.last_loop = key.number
+        session.loops += 1
+        old = m.keyframes[loop.old].frame
+        self.context.log(f"frame {key.frame}: loop with frame {old}, scale drift {loop.correction.scale:.3f}")
 
-    def _pose_of(self, record: FrameRecord) -> Array:
-        assert self.map is not None
-        return renormalise(record.T_ck @ self.map.keyframes[record.keyframe].T_cw)
+    # -- the end -----------------------------------------------------------------------------------------------
 
     def finish(self) -> Estimate:
         self.pool.shutdown()
-        m = self.map
-        if m is None:
+        sessions = [*self.former, *([self.session] if self.session is not None else [])]
+        if not sessions:
             empty = Trajectory(np.empty(0), np.empty((0, 4, 4)))
             return Estimate(empty, extra={"initialised": False})
-        extra: dict[str, Any] = {"initialised": True}
+        session = max(sessions, key=lambda s: len(s.records))
+        m = session.map
+        extra: dict[str, Any] = {
+            "initialised": True,
+            "maps": len(sessions),
+            "loops": session.loops,
+            "relocalised": session.relocalised,
+        }
         if self.config.final_ba > 0:
             everything = [k.number for k in m.keyframes]
             extra["reprojection_px"] = adjust_window(m, self.config, self.rig.focal, everything, self.config.final_ba)
+        records = sorted(session.records, key=lambda r: r.index)
         poses = []
-        for record in self.records:
-            T = self._pose_of(record)
-            poses.append(invert_pose(self._refit(record, T) if self.config.refit else T))
+        for record in records:
+            T = session.pose_of(record)
+            poses.append(invert_pose(self._refit(m, record, T) if self.config.refit else T))
         extra["points"] = int((m.state == ACTIVE).sum())
         return Estimate(
-            Trajectory(np.array([r.time for r in self.records]), np.stack(poses)),
+            Trajectory(np.array([r.time for r in records]), np.stack(poses)),
             keyframes=[k.frame for k in m.keyframes],
             frames=self.numbers,
             extra=extra,
         )
 
-    def _refit(self, record: FrameRecord, T: Array) -> Array:
+    def _refit(self, m: PointMap, record: FrameRecord, T: Array) -> Array:
         """The pose again, from the frame's own measurements and the points as they are now."""
-        m = self.map
-        assert m is not None
         alive = m.state[record.points] == ACTIVE
         X, b = m.position[record.points[alive]], record.bearings[alive].astype(np.float64)
         near = pose_errors(T, X, b, self.rig.focal) < 4.0
         if int(near.sum()) < self.config.min_inliers:
             return T
         return solve_pose(T, X[near], b[near], self.rig.focal, self.config.huber_px, 10)
+
+
+def _record_of(glimpse: Glimpse, T_cw: Array, key: Keyframe, where: NDArray[np.int64]) -> FrameRecord:
+    use = where[glimpse.tracks] >= 0
+    return FrameRecord(
+        glimpse.index,
+        glimpse.time,
+        key.number,
+        T_cw @ invert_pose(key.T_cw),
+        glimpse.tracks[use],
+        glimpse.bearings[use].astype(np.float32),
+    )

@@ -24,7 +24,6 @@ class Keyframe:
     T_cw: Array
     points: NDArray[np.int64]
     bearings: Array
-    signature: Any = None
 
     def drop(self, lost: NDArray[np.bool_]) -> None:
         """Forget observations where ``lost`` (n,) is True."""
@@ -54,6 +53,7 @@ _FIELDS: dict[str, tuple[tuple[int, ...], Any]] = {
     "found": ((), np.int32),
     "misses": ((), np.int32),  # failures in a row
     "parallax": ((), np.float64),  # largest angle seen so far, radians
+    "descriptor": ((32,), np.uint8),  # of the template
 }
 
 

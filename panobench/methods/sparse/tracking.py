@@ -19,7 +19,9 @@ Array = NDArray[np.float64]
 Pyramid = list[NDArray[np.uint8]]
 
 #: Largest shift per level, in that level's pixels, coarsest first; the finest only polishes.
-LIMITS = (8.0, 4.0, 3.0)
+LIMITS = (8.0, 4.0, 4.0, 3.0)
+#: Least share of the aligned patches that must agree on the pose.
+AGREEING = 0.6
 #: Most points aligned per frame.
 BUDGET = 1200
 
@@ -82,9 +84,11 @@ class Aligner:
         )
 
 
-def choose_points(m: PointMap, rig: FaceRig, T_cw: Array, frame: int) -> NDArray[np.int64]:
+def choose_points(
+    m: PointMap, rig: FaceRig, T_cw: Array, frame: int, only: NDArray[np.int64] | None = None
+) -> NDArray[np.int64]:
     """Points worth trying: alive, projecting into a face, the recently seen first."""
-    alive = np.flatnonzero(m.state != DEAD)
+    alive = np.flatnonzero(m.state != DEAD) if only is None else only[m.state[only] != DEAD]
     stale = (m.visible[alive] > 20) & (m.found[alive] < 0.15 * m.visible[alive])
     alive = alive[~stale]
     if len(alive) == 0:
@@ -114,10 +118,20 @@ def in_view(rig: FaceRig, bearings: Array) -> NDArray[np.bool_]:
     return out
 
 
-def track_frame(aligner: Aligner, pyramid: Pyramid, T_pred: Array, frame: int, min_inliers: int) -> Tracked | None:
-    """Pose of a frame near ``T_pred``, or None when too few points agree. Updates the points' statistics."""
+def track_frame(
+    aligner: Aligner,
+    pyramid: Pyramid,
+    T_pred: Array,
+    frame: int,
+    min_inliers: int,
+    only: NDArray[np.int64] | None = None,
+) -> Tracked | None:
+    """Pose of a frame near ``T_pred``, or None when too few points agree. Updates the points' statistics.
+
+    only: points to try (default: the whole map).
+    """
     m, rig, config = aligner.map, aligner.rig, aligner.config
-    points = choose_points(m, rig, T_pred, frame)
+    points = choose_points(m, rig, T_pred, frame, only)
     active = m.state[points] == ACTIVE
     if int(active.sum()) < min_inliers:
         return None
@@ -146,12 +160,13 @@ def track_frame(aligner: Aligner, pyramid: Pyramid, T_pred: Array, frame: int, m
     T = solve_pose(T, X, b, rig.focal, config.huber_px, 15)
     error = pose_errors(T, X, b, rig.focal)
     inlier = error < 3.0 * max(1.0, config.huber_px)
-    if int(inlier.sum()) < max(min_inliers, int(0.4 * len(use))):
+    if int(inlier.sum()) < min_inliers:
         return None
     T = solve_pose(T, X[inlier], b[inlier], rig.focal, config.huber_px, 10)
     error = pose_errors(T, X, b, rig.focal)
     inlier = error < 3.0 * max(1.0, config.huber_px)
-    if int(inlier.sum()) < min_inliers:
+    # A wrong pose near the right one also aligns some patches; a right one aligns most of those it can.
+    if int(inlier.sum()) < max(min_inliers, int(AGREEING * len(use))):
         return None
     found = use[inlier]
     waiting = np.flatnonzero(ok & (m.state[points] == CANDIDATE))
