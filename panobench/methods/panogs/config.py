@@ -33,8 +33,8 @@ class PanogsConfig:
     scale_factor: float = 0.55
     initial_opacity: float = 0.9
     # Mapping
-    mapping_iterations: int = 30
-    initial_iterations: int = 60
+    mapping_iterations: int = 15
+    initial_iterations: int = 40
     random_views: int = 2
     random_from: Literal["frames", "keyframes"] = "frames"
     refine_poses: bool = True
@@ -62,6 +62,7 @@ PAPER: dict[str, Any] = {
     "solver": "adam",
     "tracking_iterations": 15,
     "mapping_iterations": 30,
+    "initial_iterations": 60,
     "tracking_renders": 1,
     "low_pass": 0.3,
     "position_rate_rel": 1.6e-4,

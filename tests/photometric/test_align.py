@@ -1,0 +1,97 @@
+"""Direct alignment, checked on an analytic scene: a textured sphere of radius 2 m about the world's origin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.pinhole import PinholeCamera
+from panobench.geometry import invert_pose, se3_exp, se3_log
+from panobench.photometric.align import AlignOptions, align, make_reference
+from panobench.photometric.pyramid import halve, pyramid
+from panobench.photometric.warp import atan2_fast
+
+RADIUS = 2.0
+WAVES = np.random.default_rng(3).normal(size=(24, 3)) * 6.0
+PHASES = np.random.default_rng(4).uniform(0, 6.28, 24)
+
+
+def texture(points: np.ndarray) -> np.ndarray:
+    """Smooth brightness in 0..1 of points (..., 3) on the sphere."""
+    return 0.5 + 0.08 * np.sin(points @ WAVES.T / RADIUS + PHASES).sum(axis=-1) / 2
+
+
+def view(camera: object, T_wc: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Brightness and radial depth of the sphere's inside from a pose."""
+    rays = camera.rays() @ T_wc[:3, :3].T  # type: ignore[attr-defined]
+    t = T_wc[:3, 3]
+    b = rays @ t
+    depth = -b + np.sqrt(b * b - t @ t + RADIUS**2)
+    return texture(t + rays * depth[..., None]).astype(np.float32), depth.astype(np.float32)
+
+
+CAMERAS = {
+    "erp": ErpCamera(256, 128),
+    "erp 120 deg": ErpCamera(256, 128, hfov_deg=120.0, lat_min_deg=-50, lat_max_deg=50),
+    "pinhole": PinholeCamera.from_fov(160, 100.0, 70.0),
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize(("metres", "degrees"), [(0.02, 1.0), (0.08, 4.0)])
+def test_recovers_a_known_motion(name: str, metres: float, degrees: float) -> None:
+    camera = CAMERAS[name]
+    rng = np.random.default_rng(1)
+    direction, axis = rng.normal(size=3), rng.normal(size=3)
+    xi = np.concatenate(
+        [metres * direction / np.linalg.norm(direction), np.deg2rad(degrees) * axis / np.linalg.norm(axis)]
+    )
+    T_fr = se3_exp(xi)
+    luma, depth = view(camera, np.eye(4))
+    depth = np.where(camera.valid_mask(), depth, np.nan).astype(np.float32)
+    frame, _ = view(camera, invert_pose(T_fr))
+    frame = np.where(camera.valid_mask(), frame, np.nan).astype(np.float32)
+    levels = pyramid(frame, 64)
+    found = align(make_reference(camera, luma, depth, len(levels)), levels, np.eye(4))
+    error = se3_log(found.T_fr @ invert_pose(T_fr))
+    assert np.linalg.norm(error[:3]) < 1.5e-3
+    assert np.rad2deg(np.linalg.norm(error[3:])) < 0.05
+    assert np.linalg.eigvalsh(found.hessian).min() > 0
+
+
+def test_exposure_is_separated_from_motion() -> None:
+    camera = CAMERAS["erp"]
+    T_fr = se3_exp([0.03, 0, 0.02, 0, 0.02, 0])
+    luma, depth = view(camera, np.eye(4))
+    frame, _ = view(camera, invert_pose(T_fr))
+    levels = pyramid((1.2 * frame - 0.05).astype(np.float32), 64)
+    options = AlignOptions(exposure=True)
+    found = align(make_reference(camera, luma, depth, len(levels), options), levels, np.eye(4), options)
+    assert np.linalg.norm(se3_log(found.T_fr @ invert_pose(T_fr))[:3]) < 2e-3
+    assert np.exp(found.gain) == pytest.approx(1.2, abs=0.02)
+
+
+def test_a_blank_frame_changes_nothing() -> None:
+    camera = CAMERAS["erp"]
+    luma, depth = view(camera, np.eye(4))
+    reference = make_reference(camera, luma, depth, 3)
+    for value in (0.0, 1.0, np.nan):
+        blank = pyramid(np.full((128, 256), value, np.float32), 64)
+        found = align(reference, blank, np.eye(4))
+        assert np.isfinite(found.T_fr).all()
+
+
+def test_halving_averages_and_skips_unknown() -> None:
+    image = np.arange(16, dtype=np.float32).reshape(4, 4)
+    assert halve(image)[0, 0] == pytest.approx(2.5)
+    image[0, 0] = np.nan
+    assert halve(image)[0, 0] == pytest.approx((1 + 4 + 5) / 3)
+    image[0, 1] = np.nan
+    assert np.isnan(halve(image)[0, 0])
+
+
+def test_atan2_is_good_to_a_thousandth_of_a_pixel() -> None:
+    angles = np.linspace(-np.pi + 1e-6, np.pi - 1e-6, 5001)
+    found = [atan2_fast(np.float32(np.sin(a)), np.float32(np.cos(a))) for a in angles]
+    assert np.abs(np.array(found) - angles).max() < 1e-6
