@@ -13,6 +13,22 @@ from panobench.specs import CameraSpec
 from panobench.testing.conformance import Checks, Failed, Skipped, require, same_clean_error
 
 ROUND_TRIP_PX = 1e-6
+#: Typical built-in cameras, 128 px wide.
+_TYPICAL: dict[str, dict[str, Any]] = {
+    "pal": {
+        "width": 128,
+        "height": 96,
+        "poly": [-24.45, 0.0, 0.0174861, -0.000175777, 0.00004475965],
+        "cx": 64.5,
+        "cy": 48.6,
+        "r_min": 16.0,
+        "r_max": 47.0,
+    },
+    "ds": {"width": 128, "height": 96, "fx": 38.0, "fy": 38.0, "cx": 64.2, "cy": 47.9, "xi": -0.2, "alpha": 0.57},
+    "eucm": {"width": 128, "height": 96, "fx": 47.0, "fy": 47.0, "cx": 64.2, "cy": 47.9, "alpha": 0.6, "beta": 1.05},
+    "omni": {"width": 128, "height": 96, "fx": 90.0, "fy": 90.0, "cx": 64.2, "cy": 47.9, "xi": 1.2},
+    "cubemap": {"width": 192, "height": 32},
+}
 
 
 def example_camera(cls: Any, kind: str, width: int = 64) -> Camera | None:
@@ -23,6 +39,9 @@ def example_camera(cls: Any, kind: str, width: int = 64) -> Camera | None:
         if not isinstance(camera, Camera):
             raise Failed(f"example() returned a {type(camera).__name__}, not a Camera")
         return camera
+    if kind in _TYPICAL:
+        whole = width - width % 6 if kind == "cubemap" else width  # six square faces in a row
+        return cls.from_dict({"model": kind, **_TYPICAL[kind]}).scaled(whole)  # type: ignore[no-any-return]
     for height, f in ((width // 2, 0.0), (width * 3 // 4, width * 0.7)):
         values: dict[str, Any] = {"model": kind, "width": width, "height": height}
         if f:

@@ -48,8 +48,8 @@ def made_up_run(
 def metric_checks(spec: MetricSpec) -> Checks:
     """The checks of one metric."""
     function = spec.load()
-    sequence = TinySequence(n=8)
-    blind = GivenImages(sequence.camera, [sequence.image(i) for i in range(8)])
+    sequence = TinySequence(n=6)
+    blind = GivenImages(sequence.camera, [sequence.image(i) for i in range(6)])
     return [
         ("declaration", lambda: _declaration(spec)),
         ("numbers", lambda: _numbers(spec, function(made_up_run(sequence, 0.02)))),

@@ -84,9 +84,11 @@ class TinySequence(Sequence):
         """What a camera sees from any pose: RGB (H, W, 3) uint8, black where it has no ray."""
         camera = camera or self.camera
         _, points = self._hits(T_wc, camera.rays())
-        angle = points @ self._waves.T  # (H, W, K)
-        colour = np.stack([np.sin(angle + self._phases[:, c]) @ self._weights for c in range(3)], axis=-1)
-        value = 127.5 + 120 * np.tanh(4.0 * colour / self._weights.sum())
+        angle = np.asarray(points @ self._waves.T, dtype=np.float32)  # (H, W, K)
+        weights = self._weights[:, None] / self._weights.sum()
+        sine, cosine = np.cos(self._phases) * weights, np.sin(self._phases) * weights
+        colour = np.sin(angle) @ sine.astype(np.float32) + np.cos(angle) @ cosine.astype(np.float32)
+        value = 127.5 + 120 * np.tanh(4.0 * colour)
         value[~camera.valid_mask()] = 0.0
         return np.asarray(np.nan_to_num(value), dtype=np.uint8)
 
