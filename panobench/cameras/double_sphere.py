@@ -1,7 +1,7 @@
 """Double-sphere model.
 
 d1 = |p|, k = xi d1 + z, d2 = sqrt(x^2 + y^2 + k^2), n = alpha d2 + (1 - alpha) k; u = fx x / n + cx, v = fy y / n + cy.
-Usenko, Demmel, Cremers, "The Double Sphere Camera Model" (3DV 2018), equations 40-52.
+Usenko, Demmel, Cremers, "The Double Sphere Camera Model" (3DV 2018), equations 40-47.
 """
 
 from __future__ import annotations
@@ -39,20 +39,17 @@ class DoubleSphereCamera(ParametricCamera):
                 f"double sphere expects alpha in 0..1 and xi in -1..1, not {self.alpha:g} and {self.xi:g}"
             )
 
-    @property
-    def _w2(self) -> float:
-        a = self.alpha
-        w1 = a / (1 - a) if a <= 0.5 else (1 - a) / a
-        return float((w1 + self.xi) / np.sqrt(2 * w1 * self.xi + self.xi**2 + 1))
-
     def project(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
         x, y, z = as_points(points)
         with np.errstate(invalid="ignore", divide="ignore"):
             d1 = np.sqrt(x * x + y * y + z * z)
             k = self.xi * d1 + z
-            n = self.alpha * np.sqrt(x * x + y * y + k * k) + (1 - self.alpha) * k
+            d2 = np.sqrt(x * x + y * y + k * k)
+            n = self.alpha * d2 + (1 - self.alpha) * k
             u, v = self.fx * x / n + self.cx, self.fy * y / n + self.cy
-            valid = (z > -self._w2 * d1) & (n > 1e-9 * d1) & (d1 > 0)
+            # The tight form of the paper's bound on z / d1 (w2), which is exact for xi = 0 only.
+            w1 = min(self.alpha, 1 - self.alpha) / max(self.alpha, 1 - self.alpha)
+            valid = (k > -w1 * d2) & (n > 1e-9 * d1) & (d1 > 0)
             return np.stack([u, v], axis=-1), np.asarray(valid & self._inside(u, v))
 
     def unproject(self, pixels: ArrayLike) -> Array:

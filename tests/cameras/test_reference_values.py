@@ -88,6 +88,16 @@ def test_double_sphere_from_its_construction() -> None:
     assert np.abs(pixels - expected)[valid].max() < 1e-9
 
 
+def test_double_sphere_sees_every_ray_its_pixels_have() -> None:
+    """With xi > 0 and a wide image the rays at the limit lie beyond the bound printed in the paper."""
+    camera = DoubleSphereCamera(63, 32, 13.9, 59.0, 10.0, 20.6, xi=0.6, alpha=0.648)
+    rays = camera.unproject(camera.pixel_grid())
+    known = np.isfinite(rays).all(axis=-1)
+    assert 0.3 < known.mean() < 0.9
+    assert rays[known][:, 2].min() < -0.81
+    assert camera.project(rays[known])[1].all()
+
+
 def test_equidistant_fisheye_measures_angles() -> None:
     camera = KannalaBrandtCamera.equidistant(400, 200)
     edge = camera.unproject([[400.0, 200.0], [200.0, 0.0], [300.0, 200.0]])
