@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from panobench.datasets.rooms.scene import Geometry, Surfaces
+from panobench.datasets.rooms.shading import GLOW, node_light
 from panobench.datasets.rooms.trace import trace as trace_ray
 
 LIGHT_SAMPLES = 4  # squared: points per light
@@ -22,7 +23,7 @@ BOUNCE_RAYS = 8  # squared: rays per node
 BOUNCES = 4
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _hash(a: int, b: int) -> float:
     """Uniform number in 0..1 of two integers (a small integer hash)."""
     x = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(b) * np.uint64(0xC2B2AE3D27D4EB4F)
@@ -32,7 +33,7 @@ def _hash(a: int, b: int) -> float:
     return float(x >> np.uint64(11)) / 9007199254740992.0
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _gather(
     first: int,
     last: int,
@@ -80,10 +81,16 @@ def _gather(
                 l0 = light_u[k, 1] * light_v[k, 2] - light_u[k, 2] * light_v[k, 1]
                 l1 = light_u[k, 2] * light_v[k, 0] - light_u[k, 0] * light_v[k, 2]
                 l2 = light_u[k, 0] * light_v[k, 1] - light_u[k, 1] * light_v[k, 0]
+                # As many points as the light can matter here, judged from its centre.
+                dx = light_p[k, 0] + 0.5 * (light_u[k, 0] + light_v[k, 0]) - ox
+                dy = light_p[k, 1] + 0.5 * (light_u[k, 1] + light_v[k, 1]) - oy
+                dz = light_p[k, 2] + 0.5 * (light_u[k, 2] + light_v[k, 2]) - oz
+                bound = light_r[k, 1] * np.sqrt(l0 * l0 + l1 * l1 + l2 * l2) / (np.pi * (dx * dx + dy * dy + dz * dz))
+                side_n = grid if bound > 0.15 else (grid + 1) // 2 if bound > 0.015 else 1
                 total = 0.0
-                for j in range(grid * grid):
-                    fu = (j % grid + _hash(i, 4096 * k + 2 * j + side)) / grid
-                    fv = (j // grid + _hash(i + 77, 4096 * k + 2 * j + side)) / grid
+                for j in range(side_n * side_n):
+                    fu = (j % side_n + _hash(i, 4096 * k + 2 * j + side)) / side_n
+                    fv = (j // side_n + _hash(i + 77, 4096 * k + 2 * j + side)) / side_n
                     dx = light_p[k, 0] + fu * light_u[k, 0] + fv * light_v[k, 0] - ox
                     dy = light_p[k, 1] + fu * light_u[k, 1] + fv * light_v[k, 1] - oy
                     dz = light_p[k, 2] + fu * light_u[k, 2] + fv * light_v[k, 2] - oz
@@ -105,46 +112,29 @@ def _gather(
                         dy / r,
                         dz / r,
                         r - 2e-3,
-                        True,
+                        1.0,
                         stack,
                     )
                     if w < 0:
                         total += cos_here * cos_there / max(r2, 0.01)
-                total *= weight / (np.pi * grid * grid)
+                total *= weight / (np.pi * side_n * side_n)
                 for m in range(3):
                     direct[i, m] += total * light_r[k, m]
             cos_sun = flip * (sun_dir[0] * n0 + sun_dir[1] * n1 + sun_dir[2] * n2)
             if sun_rad[0] > 0 and cos_sun > 0:
                 lit = 0.0
-                for j in range(4):
-                    e0, e1, e2 = (
-                        _hash(i, 90000 + 3 * j) - 0.5,
-                        _hash(i, 90001 + 3 * j) - 0.5,
-                        _hash(i, 90002 + 3 * j) - 0.5,
-                    )
-                    dx, dy, dz = (
-                        sun_dir[0] + 0.02 * e0,
-                        sun_dir[1] + 0.02 * e1,
-                        sun_dir[2] + 0.02 * e2,
-                    )
+                for j in range(9):  # the same directions everywhere: even penumbrae
+                    ang, rad = 2.4 * j, 0.022 * np.sqrt((j + 0.5) / 9)
+                    s0, s1 = rad * np.cos(ang), rad * np.sin(ang)
+                    dx = sun_dir[0] - s0 * sun_dir[1]
+                    dy = sun_dir[1] + s0 * sun_dir[0]
+                    dz = sun_dir[2] + s1
                     r = np.sqrt(dx * dx + dy * dy + dz * dz)
                     w, _, _, _ = trace_ray(
-                        boxes,
-                        links,
-                        planes,
-                        shape,
-                        ox,
-                        oy,
-                        oz,
-                        dx / r,
-                        dy / r,
-                        dz / r,
-                        1e3,
-                        False,
-                        stack,
+                        boxes, links, planes, shape, ox, oy, oz, dx / r, dy / r, dz / r, 1e3, 0.0, stack
                     )
                     if w < 0 or glowing[w] == 2:
-                        lit += 0.25
+                        lit += 1.0 / 9
                 for m in range(3):
                     direct[i, m] += weight * lit * cos_sun * sun_rad[m]
         back, near_back = 0, 0
@@ -170,7 +160,7 @@ def _gather(
                 dy,
                 dz,
                 1e3,
-                False,
+                0.0,
                 stack,
             )
             hit[i, j] = w
@@ -182,22 +172,7 @@ def _gather(
         inside[i] = near_back > 0.4 * rays * rays
 
 
-@njit(nogil=True, cache=True, inline="always")
-def node_light(look: Any, light: Any, i: int, u: float, v: float, m: int) -> float:
-    """Light of channel m interpolated between the nodes of primitive i at (u, v)."""
-    if look[i, 2] == 1:
-        return light[look[i, 3], m] * (1 - u - v) + light[look[i, 4], m] * u + light[look[i, 5], m] * v
-    base, nu, nv = look[i, 3], look[i, 4], look[i, 5]
-    x, y = min(max(u, 0.0), 1.0) * (nu - 1), min(max(v, 0.0), 1.0) * (nv - 1)
-    x0, y0 = min(int(x), nu - 2), min(int(y), nv - 2)
-    fx, fy = x - x0, y - y0
-    k = base + y0 * nu + x0
-    a = light[k, m] * (1 - fx) + light[k + 1, m] * fx
-    b = light[k + nu, m] * (1 - fx) + light[k + nu + 1, m] * fx
-    return a * (1 - fy) + b * fy
-
-
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _bounce(
     first: int,
     last: int,
@@ -217,13 +192,12 @@ def _bounce(
             if hit[i, j] < 0:
                 continue
             p = order[hit[i, j]]
-            s0 += albedo[p, 0] * node_light(look, light, p, hit_u[i, j], hit_v[i, j], 0)
-            s1 += albedo[p, 1] * node_light(look, light, p, hit_u[i, j], hit_v[i, j], 1)
-            s2 += albedo[p, 2] * node_light(look, light, p, hit_u[i, j], hit_v[i, j], 2)
+            r, g, b = node_light(look, light, p, hit_u[i, j], hit_v[i, j])
+            s0, s1, s2 = s0 + albedo[p, 0] * r, s1 + albedo[p, 1] * g, s2 + albedo[p, 2] * b
         out[i, 0], out[i, 1], out[i, 2] = s0 / n, s1 / n, s2 / n
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _mend(base: int, nu: int, nv: int, inside: Any, light: Any, rounds: int) -> None:
     """Nodes inside objects take the mean of their lit neighbours in the grid, from outside in."""
     done = np.empty(nu * nv, np.bool_)
@@ -257,7 +231,7 @@ def _mend(base: int, nu: int, nv: int, inside: Any, light: Any, rounds: int) -> 
         done = again
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _smooth(base: int, nu: int, nv: int, light: Any) -> None:
     """One binomial pass over a grid: takes the sampling noise out of indirect light."""
     tmp = light[base : base + nu * nv].copy()
@@ -287,7 +261,7 @@ def bake(geometry: Geometry, surfaces: Surfaces, threads: int) -> NDArray[np.flo
     pack = [np.array([getattr(L, key) for L in lights]).reshape(-1, 3) for key in ("p0", "eu", "ev", "radiance")]
     sun_dir, sun_rad = mesh.sun if mesh.sun is not None else (np.array([0.0, 0.0, 1.0]), np.zeros(3))
     # 1: emits (its back side counts as nothing); 2: the outdoors, the sun shines through; 3: two-sided.
-    glow = surfaces.glow.any(axis=1)
+    glow = np.any(surfaces.paint[:, GLOW : GLOW + 3] > 0, axis=1)
     outdoors = np.array([mat.texture.startswith("outdoors") for mat in mesh.materials])[mesh.material]
     kind = np.where(outdoors, 2, np.where(mesh.two_sided, 3, glow.astype(np.int32))).astype(np.int32)
     order = geometry.order
@@ -344,7 +318,7 @@ def bake(geometry: Geometry, surfaces: Surfaces, threads: int) -> NDArray[np.flo
             for base, nu, nv in grids:
                 if inside[base : base + nu * nv].any():
                     _mend(base, nu, nv, inside, indirect, 12)
-                if nu > 3 and nv > 3:
+                for _ in range(min(8, min(nu, nv) // 3)):
                     _smooth(base, nu, nv, indirect)
             light = direct + indirect
     return light.astype(np.float32)

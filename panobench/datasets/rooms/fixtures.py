@@ -14,21 +14,26 @@ from panobench.datasets.rooms.mesh import Builder, Material
 
 WHITE = Material("smooth:232,230,224", 2.5)
 FRAME = Material("smooth:238,237,233", 1.5)
+SILL = Material("walnut", 1.0)
 STEEL = Material("metal:150,152,156", 0.5)
 BRASS = Material("metal:176,140,70", 0.5)
 BLACK = Material("metal:34,34,36", 0.5)
+LAMPSHADE = Material("fabric:224,206,170", 0.8)
 CABLE = Material("", tint=(0.02, 0.02, 0.022))
 
 
 @dataclass(frozen=True)
 class Opening:
-    """A hole in a wall, wall coordinates in metres; kind "window", "door" (closed), "doorway" (open)."""
+    """A hole in a wall, wall coordinates in metres; kind "window", "door" (closed), "doorway" (open) or "passage"
+    (the doorway seen from the room on its other side, which builds no reveals).
+    """
 
     kind: str
     x0: float
     x1: float
     z0: float
     z1: float
+    depth: float = 0.0  # of the reveal; 0: the room's
 
 
 def wall(
@@ -52,7 +57,7 @@ def wall(
                 material,
                 group=group,
                 origin=(-x1, z0),
-                spacing=0.08,
+                spacing=1.15 * b.node_spacing,
             )
 
     for x0, x1 in pairwise(cuts):
@@ -63,15 +68,14 @@ def wall(
             piece(x0, x1, 0.0, hole.z0)
             piece(x0, x1, hole.z1, height)
     for o in openings:
-        if o.kind == "door":
+        if o.kind in ("door", "passage"):
             continue
-        d, w, h = depth, o.x1 - o.x0, o.z1 - o.z0
+        d, w, h = o.depth or depth, o.x1 - o.x0, o.z1 - o.z0
         reveal = FRAME if o.kind == "window" else material
         b.quad((o.x0, -d, o.z0), (0, d, 0), (0, 0, h), reveal)
         b.quad((o.x1, 0, o.z0), (0, -d, 0), (0, 0, h), reveal)
         b.quad((o.x0, -d, o.z1), (0, d, 0), (w, 0, 0), reveal)
-        if o.kind == "window":
-            b.quad((o.x0, -d, o.z0), (w, 0, 0), (0, d, 0), reveal)
+        b.quad((o.x0, -d, o.z0), (w, 0, 0), (0, d, 0), reveal if o.kind == "window" else SILL)
 
 
 def skirting(
@@ -125,15 +129,19 @@ def door(b: Builder, o: Opening, material: Material) -> None:
     )
 
 
-def window(
-    b: Builder,
-    o: Opening,
-    depth: float,
-    sky: float,
-    view: str = "outdoors",
-    panes: int = 2,
-) -> None:
-    """Frame, bars, sill, the view behind and the light coming in (``sky``: its radiance)."""
+def backdrop(b: Builder, centre: float, width: float, sky: float, view: str) -> None:
+    """What is seen through a wall's windows: a lit picture 3.2 m behind it.
+
+    It shines at 40% of ``sky``, the radiance that lights the room: a camera's highlights are compressed too.
+    """
+    shown = 0.4 * sky
+    glow = Material(view, 0.0, emission=(shown, shown, shown))
+    uv = (0.0, float(max(1, round(width / 15.0))), 0.0, 1.0, 0.0, -1.0)
+    b.quad((centre + width / 2, -3.2, -4.6), (-width, 0, 0), (0, 0, 11.0), glow, spacing=4.0, uv=uv)
+
+
+def window(b: Builder, o: Opening, depth: float, sky: float, panes: int = 2) -> None:
+    """Frame, bars, sill and the light coming in (``sky``: radiance outside)."""
     f, t, y = 0.055, 0.05, -depth * 0.6
     w, h = o.x1 - o.x0, o.z1 - o.z0
     b.box((o.x0, y - t / 2, o.z0), (o.x0 + f, y + t / 2, o.z1), FRAME, skip="xzZ")
@@ -158,13 +166,10 @@ def window(
     if o.z0 > 0.3:
         b.box(
             (o.x0 - 0.08, 0, o.z0 - 0.035),
-            (o.x1 + 0.08, 0.16, o.z0),
+            (o.x1 + 0.08, 0.1, o.z0),
             Material("stone:214,210,200", 1.0),
             skip="y",
         )
-    back = Material(view, 0.0, emission=(sky, sky, sky))
-    cx, bw, bh = (o.x0 + o.x1) / 2, 15.0, 11.0
-    b.quad((cx + bw / 2, -3.2, -4.6), (-bw, 0, 0), (0, 0, bh), back, spacing=4.0)
     glow = sky * 0.95
     b.rect_light(
         (o.x1 - f, y - 0.03, o.z0 + f),
@@ -176,7 +181,7 @@ def window(
 
 def curtains(b: Builder, o: Opening, material: Material, share: float = 0.24) -> None:
     """A rod and a pair of gathered curtains down to near the floor."""
-    top, y = o.z1 + 0.16, 0.11
+    top, y = o.z1 + 0.16, 0.19
     b.tube([(o.x0 - 0.4, y, top), (o.x1 + 0.4, y, top)], 0.012, BRASS, thin=False)
     w = (o.x1 - o.x0) * share + 0.26
     for x0, sign in ((o.x0 - 0.3, 1.0), (o.x1 + 0.3, -1.0)):
@@ -265,31 +270,10 @@ def ceiling_panel(b: Builder, x: float, y: float, z: float, w: float, d: float, 
         STEEL,
         skip="zZ",
     )
-    p = (x - w / 2, y - d / 2, z - t + 0.005)
-    b.quad(
-        p,
-        (0, d, 0),
-        (w, 0, 0),
-        Material("", emission=(power, power * 0.96, power * 0.9)),
-    )
-    b.quad(
-        (x - w / 2 - 0.03, y - d / 2 - 0.03, z - t + 0.004),
-        (0, d + 0.06, 0),
-        (w + 0.06, 0, 0),
-        STEEL,
-    )
-    b.quad(
-        (p[0], p[1], p[2] - 0.003),
-        (0, d, 0),
-        (w, 0, 0),
-        Material("", emission=(power, power * 0.96, power * 0.9)),
-    )
-    b.rect_light(
-        (p[0], p[1], p[2] - 0.02),
-        (0, d, 0),
-        (w, 0, 0),
-        np.array([1, 0.95, 0.88]) * power,
-    )
+    b.quad((x - w / 2 - 0.03, y - d / 2 - 0.03, z - t), (0, d + 0.06, 0), (w + 0.06, 0, 0), STEEL)
+    p = (x - w / 2, y - d / 2, z - t - 0.004)
+    b.quad(p, (0, d, 0), (w, 0, 0), Material("", emission=(power, power * 0.96, power * 0.9)))
+    b.rect_light((p[0], p[1], p[2] - 0.01), (0, d, 0), (w, 0, 0), np.array([1, 0.95, 0.88]) * power)
 
 
 def pendant(

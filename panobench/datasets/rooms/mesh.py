@@ -148,16 +148,22 @@ class Builder:
         origin: tuple[float, float] | None = None,
         turn: bool = False,
         thin: bool = False,
+        uv: tuple[float, ...] | None = None,
     ) -> None:
-        """A flat piece. ``turn`` lays the texture's s axis along ``ev``; ``origin`` is (s, t) at p0 in metres."""
+        """A flat piece. ``turn`` lays the texture's s axis along ``ev``; ``origin`` is (s, t) at p0 in metres.
+
+        ``uv``: texture coordinates given as in ``Mesh``.
+        """
         p, a, b = self.world(p0), self._turn(eu), self._turn(ev)
         la, lb = float(np.linalg.norm(a)), float(np.linalg.norm(b))
-        if material.scale == 0.0:
-            uv = [0.0, 1.0, 0.0, 1.0, 0.0, -1.0]  # the picture's top row at v = 1
+        if uv is not None:
+            pass
+        elif material.scale == 0.0:
+            uv = (0.0, 1.0, 0.0, 1.0, 0.0, -1.0)  # the picture's top row at v = 1
         else:
             k = 1.0 / material.scale
             o = self.rng.uniform(0, 1, 2) if origin is None else np.asarray(origin) * k
-            uv = [o[0], 0.0, lb * k, o[1], la * k, 0.0] if turn else [o[0], la * k, 0.0, o[1], 0.0, lb * k]
+            uv = (o[0], 0.0, lb * k, o[1], la * k, 0.0) if turn else (o[0], la * k, 0.0, o[1], 0.0, lb * k)
         step = self.node_spacing if spacing is None else spacing
         nu, nv = (int(np.clip(np.ceil(x / step) + 1, 2, 200)) for x in (la, lb))
         # Nodes lie on the edges too; move those inwards so that they do not start inside a neighbour.

@@ -20,6 +20,7 @@ class Motion:
     """How the camera moves: metres per frame, mean yaw per frame and swing amplitudes, radians.
 
     yaw_rate: steady turn per frame. swing: amplitude of slow yaw swings. tilt: amplitude of pitch and roll.
+    period: frames of a swing. bounce: amplitude up and down, metres. laps: times round the walk, instead of ``step``.
     """
 
     step: float = 0.037
@@ -30,6 +31,7 @@ class Motion:
     rate: float = 15.0
     period: float = 70.0
     laps: float | None = None
+    bounce: float = 0.03
 
 
 def closed_spline(walk: Array) -> tuple[CubicSpline, float]:
@@ -71,7 +73,7 @@ def trajectory(walk: Array, motion: Motion, rng: np.random.Generator) -> Array:
         i + 0.2 * motion.period / (2 * np.pi) * (np.sin(2 * np.pi * i / motion.period + phase[0]) - np.sin(phase[0]))
     )
     p = spline((s + rng.uniform(0, length)) % length)
-    p[:, 2] += 0.03 * np.sin(2 * np.pi * i / (0.6 * motion.period) + phase[1])
+    p[:, 2] += motion.bounce * np.sin(2 * np.pi * i / (0.6 * motion.period) + phase[1])
     w = 2 * np.pi * i / motion.period
     yaw = (
         phase[2] + motion.yaw_rate * i + motion.swing * (0.7 * np.sin(w + phase[3]) + 0.3 * np.sin(2.3 * w + phase[4]))
@@ -103,7 +105,7 @@ def clear_trajectory(
         shrink = 1.0 if motion.laps is not None or attempt < 10 else 0.985 ** (attempt - 9)
         lift = 0.0 if attempt % 3 == 0 else rng.uniform(-0.1, 0.15)
         T = trajectory(centre + (walk - centre) * [shrink, shrink, 1.0] + [0, 0, lift], motion, rng)
-        if clearances(mesh.p0, mesh.eu, mesh.ev, T[:, :3, 3]).min() >= clearance:
+        if clearances(mesh.p0, mesh.eu, mesh.ev, np.ascontiguousarray(T[:, :3, 3])).min() >= clearance:
             return T
     raise RuntimeError("no collision-free path through this room")
 

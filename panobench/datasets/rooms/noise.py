@@ -68,3 +68,10 @@ def ramp(x: Field, *colours: Field) -> Field:
     table = np.stack(colours)
     f = (t - i)[..., None]
     return np.asarray(table[i] * (1 - f) + table[i + 1] * f, dtype=np.float32)
+
+
+def hsv(h: float, s: float, v: float) -> Field:
+    """HSV (each 0..1, sRGB) -> linear (3,)."""
+    k = (np.array([5.0, 3.0, 1.0]) + h * 6) % 6
+    rgb = v - v * s * np.clip(np.minimum(k, 4 - k), 0, 1)
+    return linear(*(255 * rgb))

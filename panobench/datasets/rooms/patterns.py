@@ -99,7 +99,7 @@ def plaster(rng: np.random.Generator, colour: Field, strength: float = 1.0) -> F
     broad = fractal(rng, 512, beta=1.6, high=40)
     fine = fractal(rng, 512, beta=0.55, low=20)
     blotch = smoothstep(0.4, 2.0, fractal(rng, 512, beta=1.4, high=90))
-    value = 1 + strength * (0.045 * broad + 0.028 * fine - 0.09 * blotch)
+    value = 1 + strength * (0.03 * broad + 0.026 * fine - 0.055 * blotch)
     warm = fractal(rng, 512, beta=1.8, high=30)[..., None] * np.array([0.006, 0, -0.012], np.float32) * strength
     return np.asarray(colour * (value[..., None] + warm), dtype=np.float32)
 
@@ -195,23 +195,15 @@ def wallpaper(rng: np.random.Generator, ground: Field, figure: Field, style: int
     else:
         m = np.zeros((size, size), np.float32)
         for _ in range(90):
-            cx, cy, angle, length = (
-                *rng.uniform(0, 1, 2),
-                rng.uniform(0, 2 * np.pi),
-                rng.uniform(0.035, 0.08),
-            )
-            dx, dy = (x - cx + 0.5) % 1 - 0.5, (y - cy + 0.5) % 1 - 0.5
+            cy, cx = rng.integers(0, size, 2)
+            angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(0.035, 0.08) * size
+            r = int(length) + 2
+            dy, dx = np.mgrid[-r : r + 1, -r : r + 1].astype(np.float32)
             u = (dx * np.cos(angle) + dy * np.sin(angle)) / length
-            v = (dy * np.cos(angle) - dx * np.sin(angle)) / length
-            leaf = smoothstep(
-                -0.04,
-                0.04,
-                (0.42 * (1 - u * u) - np.abs(v) - (np.abs(u) > 1)).astype(np.float32),
-            )
-            m = np.maximum(
-                m,
-                leaf * (0.6 + 0.4 * smoothstep(0.0, 0.05, np.abs(v).astype(np.float32))),
-            )
+            v = np.abs(dy * np.cos(angle) - dx * np.sin(angle)) / length
+            blade = smoothstep(-0.04, 0.04, 0.42 * (1 - u * u) - v) * (0.6 + 0.4 * smoothstep(0.0, 0.05, v))
+            window = np.ix_((cy + np.arange(-r, r + 1)) % size, (cx + np.arange(-r, r + 1)) % size)
+            m[window] = np.maximum(m[window], blade)
     paper = 1 + 0.035 * fractal(rng, size, beta=0.5, low=30) + 0.04 * fractal(rng, size, beta=1.6, high=50)
     m = m[..., None]
     return np.asarray((ground * (1 - m) + figure * m) * paper[..., None], dtype=np.float32)

@@ -8,12 +8,19 @@ from panobench.datasets.rooms.noise import (
     Field,
     cells,
     fractal,
+    hsv,
     linear,
     ramp,
     smoothstep,
 )
 
 SIZE = 256
+# Book cloth and lettering, sRGB.
+_CLOTH = [
+    (112, 30, 28), (36, 52, 92), (44, 78, 56), (196, 182, 150), (40, 38, 40), (150, 110, 44), (92, 60, 40),
+    (60, 96, 104), (170, 84, 40), (206, 204, 196), (84, 40, 70), (120, 124, 120), (176, 48, 44), (70, 92, 140),
+]  # fmt: skip
+_FOIL = [(222, 200, 140), (236, 232, 220), (30, 28, 30), (190, 60, 50), (240, 214, 90)]
 
 
 def _canvas(size: int = SIZE) -> tuple[Field, Field]:
@@ -55,7 +62,7 @@ def abstract(rng: np.random.Generator) -> Field:
     hue = rng.uniform(0, 1)
     palette = np.stack(
         [
-            _hsv(
+            hsv(
                 (hue + rng.normal(0, 0.12)) % 1,
                 rng.uniform(0.2, 0.85),
                 rng.uniform(0.25, 0.95),
@@ -65,13 +72,14 @@ def abstract(rng: np.random.Generator) -> Field:
     )
     out = palette[ident % 7]
     y, x = _canvas()
+    waver = fractal(rng, SIZE, beta=1.6)
     for _ in range(5):
         a, c, wdt = (
             rng.uniform(0, np.pi),
             rng.uniform(0.2, 0.8),
             rng.uniform(0.008, 0.03),
         )
-        d = np.abs((x - 0.5) * np.cos(a) + (y - 0.5) * np.sin(a) + 0.5 - c + 0.02 * fractal(rng, SIZE, beta=1.6))
+        d = np.abs((x - 0.5) * np.cos(a) + (y - 0.5) * np.sin(a) + 0.5 - c + 0.02 * waver)
         m = smoothstep(wdt + 0.006, wdt, d)[..., None]
         out = out * (1 - m) + palette[int(rng.integers(7))] * 0.5 * m
     return np.clip(out * (1 + 0.1 * fractal(rng, SIZE, beta=0.7))[..., None], 0.01, 0.95).astype(np.float32)
@@ -94,7 +102,7 @@ def portrait(rng: np.random.Generator) -> Field:
         d = np.hypot(x - cx, (y - cy) * rng.uniform(0.8, 1.2)) / r
         m = smoothstep(1.02, 0.98, d)[..., None]
         lit = np.clip(1.1 - np.hypot(x - cx + 0.4 * r, y - cy + 0.4 * r) / r / 1.6, 0.08, 1)[..., None]
-        out = out * (1 - m) + _hsv(rng.uniform(0, 0.16), rng.uniform(0.5, 0.9), 0.8) * lit * m
+        out = out * (1 - m) + hsv(rng.uniform(0, 0.16), rng.uniform(0.5, 0.9), 0.8) * lit * m
     return np.clip(out * (1 + 0.08 * fractal(rng, SIZE, beta=0.6))[..., None], 0.01, 0.95).astype(np.float32)
 
 
@@ -111,12 +119,12 @@ def poster(rng: np.random.Generator) -> Field:
     )
     out[text] = ink
     head = (y > 0.07) & (y < 0.15) & (x > 0.15) & (x < 0.85) & (((x * 23) % 1) > 0.25)
-    out[head] = _hsv(rng.uniform(), 0.8, 0.5)
+    out[head] = hsv(rng.uniform(), 0.8, 0.5)
     bars = rng.uniform(0.05, 0.3, 12)
     bar = (x * 14).astype(np.int32) - 1
     inside = (bar >= 0) & (bar < 12) & ((x * 14) % 1 > 0.3)
     height = bars[np.clip(bar, 0, 11)]
-    out[inside & (y > 0.95 - height) & (y < 0.95)] = _hsv(rng.uniform(), 0.7, 0.6)
+    out[inside & (y > 0.95 - height) & (y < 0.95)] = hsv(rng.uniform(), 0.7, 0.6)
     return out
 
 
@@ -126,8 +134,8 @@ def spines(rng: np.random.Generator) -> Field:
     out = np.zeros((h, w, 3), np.float32)
     y = ((np.arange(h) + 0.5) / h)[:, None]
     for k in range(8):
-        base = _hsv(rng.uniform(), rng.uniform(0.15, 0.8), rng.uniform(0.15, 0.8))
-        second = _hsv(rng.uniform(), rng.uniform(0.1, 0.7), rng.uniform(0.6, 0.95))
+        base = linear(*_CLOTH[int(rng.integers(len(_CLOTH)))]) * rng.uniform(0.75, 1.3)
+        second = linear(*_FOIL[int(rng.integers(len(_FOIL)))])
         x = np.linspace(-1, 1, w // 8)[None]
         col = np.broadcast_to(base, (h, w // 8, 3)) * (1 - 0.45 * x**4)[..., None]
         a, b = rng.uniform(0.12, 0.3), rng.uniform(0.5, 0.75)
@@ -158,7 +166,7 @@ def screen(rng: np.random.Generator) -> Field:
             & (row > 1)
             & (x < x0 + w * 0.9)
         )
-        out[t] = linear(60, 70, 90) if k % 2 else _hsv(rng.uniform(), 0.4, 0.8)
+        out[t] = linear(60, 70, 90) if k % 2 else hsv(rng.uniform(), 0.4, 0.8)
         out[m & (y < y0 + 0.03)] = linear(90, 120, 170)
     return out.astype(np.float32)
 
@@ -177,27 +185,18 @@ def outdoors(rng: np.random.Generator) -> Field:
             rng.uniform(0.36, 0.55),
         )
         m = (x > x0) & (x < x0 + w) & (y > top)
-        wall = _hsv(rng.uniform(0.02, 0.12), rng.uniform(0.1, 0.4), rng.uniform(0.4, 0.8))
+        wall = hsv(rng.uniform(0.02, 0.12), rng.uniform(0.1, 0.4), rng.uniform(0.4, 0.8))
         pane = (((x - x0) / w * 4) % 1 > 0.45) & (((y - top) * 22) % 1 > 0.5)
         out[m] = wall
         out[m & pane] = linear(70, 85, 105)
+    outline, inner = fractal(rng, size, beta=0.9, low=6), fractal(rng, size, beta=0.5, low=12)
     for _ in range(18):
         cx, cy, r = rng.uniform(0, 1), rng.uniform(0.58, 0.76), rng.uniform(0.05, 0.13)
-        d = np.hypot((x - cx + 0.5) % 1 - 0.5, (y - cy) * 0.85) / r + 0.28 * fractal(rng, size, beta=0.9, low=6)
+        roll = tuple(int(k) for k in rng.integers(0, size, 2))
+        d = np.hypot((x - cx + 0.5) % 1 - 0.5, (y - cy) * 0.85) / r + 0.28 * np.roll(outline, roll, (0, 1))
         m = smoothstep(1.0, 0.9, d)[..., None]
-        light = np.clip(
-            0.75 - 0.45 * (y - cy) / r + 0.25 * fractal(rng, size, beta=0.5, low=12),
-            0.15,
-            1.4,
-        )[..., None]
-        out = out * (1 - m) + _hsv(rng.uniform(0.22, 0.33), 0.65, rng.uniform(0.25, 0.5)) * light * m
+        light = np.clip(0.75 - 0.45 * (y - cy) / r + 0.25 * np.roll(inner, roll, (0, 1)), 0.15, 1.4)[..., None]
+        out = out * (1 - m) + hsv(rng.uniform(0.22, 0.33), 0.65, rng.uniform(0.25, 0.5)) * light * m
     grass = smoothstep(0.74, 0.77, y)[..., None]
     lawn = linear(98, 132, 62) * (1 + 0.25 * fractal(rng, size, beta=0.6, stretch=2))[..., None]
     return np.clip(out * (1 - grass) + lawn * grass, 0.01, 1.0).astype(np.float32)
-
-
-def _hsv(h: float, s: float, v: float) -> Field:
-    """HSV (0..1, sRGB) -> linear RGB."""
-    k = (np.array([5.0, 3.0, 1.0]) + h * 6) % 6
-    rgb = v - v * s * np.clip(np.minimum(k, 4 - k), 0, 1)
-    return linear(*(255 * rgb))

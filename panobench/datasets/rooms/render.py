@@ -59,51 +59,53 @@ def ray_bundle(camera: Camera) -> RayBundle:
     )
 
 
+def _view(T_wc: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, 3): rows of the rotation, then the centre."""
+    return np.ascontiguousarray(np.vstack([T_wc[:3, :3], T_wc[:3, 3]]))
+
+
+def sample_offsets(sub: int) -> NDArray[np.float32]:
+    """(sub^2, 2) places in a pixel, -1/2..1/2.
+
+    A sheared grid: no two share a row or a column, so that edges along either get sub^2 grey levels.
+    """
+    a, b = np.meshgrid(np.arange(sub), np.arange(sub))
+    x, y = a + (b + 0.5) / sub, b + (a + 0.5) / sub
+    return (np.stack([x.ravel(), y.ravel()], axis=-1) / sub - 0.5).astype(np.float32)
+
+
 def radiance(
-    scene: Scene,
-    bundle: RayBundle,
-    T_wc: NDArray[np.float64],
-    *,
-    gain: float = 1.0,
-    sub: int = SUB,
+    scene: Scene, bundle: RayBundle, T_wc: NDArray[np.float64], *, gain: float = 1.0, sub: int = SUB
 ) -> NDArray[np.float32]:
     """Display-linear RGB (H, W, 3), 0..1 (after the tone curve, before gamma)."""
     g, s = scene.geometry, scene.surfaces
     m = g.mesh
     out = np.zeros(bundle.rays.shape, dtype=np.float32)
     shading.render_frame(
-        np.ascontiguousarray(T_wc[:3, :3]), np.ascontiguousarray(T_wc[:3, 3]),
-        bundle.rays, bundle.ray_x, bundle.ray_y, bundle.coarse, bundle.fine, sub, gain,
-        m.p0, g.dual_u, g.dual_v, g.normal, m.two_sided, m.shape, m.group,
-        s.look, s.uv, s.tint, s.coat, s.macro, s.glow, s.atlas.texels, s.atlas.table, s.light,
+        _view(T_wc), bundle.rays, bundle.ray_x, bundle.ray_y, bundle.coarse, bundle.fine, sample_offsets(sub),
+        float(gain), m.p0, g.duals, g.normal, m.two_sided, m.shape,
+        s.look, s.paint, s.atlas.texels, s.atlas.table, s.light,
         g.boxes, g.links, g.planes, g.tree_shape, g.order, out,
     )  # fmt: skip
     return out
 
 
-def to_image(
-    linear: NDArray[np.float32],
-    *,
-    scale: float = 1.0,
-    sigma: float = 0.0,
-    seed: int = 0,
-) -> NDArray[np.uint8]:
+def to_image(linear: NDArray[np.float32], *, sigma: float = 0.0, seed: int = 0) -> NDArray[np.uint8]:
     """Gamma-encode display-linear RGB, add sensor noise, quantise."""
     out = np.empty(linear.shape, dtype=np.uint8)
-    shading.encode(linear, scale, sigma, np.random.default_rng(seed), out)
+    shading.encode(np.ascontiguousarray(linear, dtype=np.float32), float(sigma), np.random.default_rng(seed), out)
     return out
 
 
 def depth(g: Geometry, bundle: RayBundle, T_wc: NDArray[np.float64]) -> NDArray[np.float32]:
     """Exact radial depth (H, W) of the pixel centres, metres; NaN where nothing is seen."""
-
     m = g.mesh
-    R, c = np.ascontiguousarray(T_wc[:3, :3]), np.ascontiguousarray(T_wc[:3, 3])
+    view = _view(T_wc)
     f = np.empty((len(m.p0), 9), dtype=np.float32)
     index = np.empty(len(m.p0), dtype=np.int32)
-    count = visibility.edge_functions(m.p0, g.dual_u, g.dual_v, g.normal, m.two_sided, R, c, f, index)
+    count = visibility.edge_functions(m.p0, g.duals, g.normal, m.two_sided, view, f, index)
     who = np.full(bundle.rays.shape[:2], -1, dtype=np.int32)
     visibility.cast_centres(f, count, index, m.shape, bundle.rays, bundle.coarse, bundle.fine, who)
     out = np.empty(who.shape, dtype=np.float32)
-    visibility.plane_depth(m.p0, g.normal, who, bundle.exact, R, c, out)
+    visibility.plane_depth(m.p0, g.normal, who, bundle.exact, view, out)
     return out

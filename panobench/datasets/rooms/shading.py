@@ -3,6 +3,9 @@
 Anti-aliasing: visibility is sampled ``sub`` x ``sub`` times per pixel; every surface seen in a pixel is shaded once,
 with its texture averaged over the pixel's footprint (mip maps, up to eight taps along the longer axis), and weighted by
 the share of samples that see it. Averaging happens after the tone curve, so that bright lamps keep smooth edges.
+
+Arrays shared by the kernels (see ``scene.Surfaces``): ``look`` (N, 7) int32, ``paint`` (N, 14) float32, ``texels``,
+``table``, ``light``; ``view`` (4, 3): rows of the camera-to-world rotation, then the centre.
 """
 
 from __future__ import annotations
@@ -12,405 +15,289 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from panobench.datasets.rooms.bake import node_light
 from panobench.datasets.rooms.trace import trace
-from panobench.datasets.rooms.visibility import (
-    COARSE_H,
-    COARSE_W,
-    FINE_H,
-    FINE_W,
-    candidates,
-    edge_functions,
-    nearest,
-)
+from panobench.datasets.rooms.visibility import COARSE_H, COARSE_W, FINE_H, FINE_W, candidates, edge_functions, nearest
 
-MAX_TAPS = 8
+MAX_TAPS = 8.0
 FAST = {"contract", "nsz", "reassoc", "arcp"}
+WHITE_LIMIT = 6.0  # radiance that mirrors pass on at most, in display whites
+
+# Columns of ``look``.
+TEXTURE, MACRO, LIGHT_KIND, NODE0, NODE1, NODE2, GROUP = range(7)
+# Columns of ``paint``: texture coordinates, tint, macro strength, emission, coat.
+UV, TINT, MACRO_STRENGTH, GLOW, COAT = 0, 6, 9, 10, 13
 
 
-@njit(nogil=True, cache=True, fastmath=FAST, inline="always")
+@njit(nogil=True, cache=True, error_model="numpy")
+def node_light(look: Any, light: Any, i: int, u: float, v: float) -> tuple[float, float, float]:
+    """Light interpolated between the nodes of primitive i at (u, v), linear RGB."""
+    if look[i, LIGHT_KIND] == 1:
+        a, b, c, d = look[i, NODE0], look[i, NODE1], look[i, NODE2], 0
+        wa, wb, wc, wd = 1.0 - u - v, u, v, 0.0
+    else:
+        nu, nv = look[i, NODE1], look[i, NODE2]
+        x, y = min(max(u, 0.0), 1.0) * (nu - 1), min(max(v, 0.0), 1.0) * (nv - 1)
+        x0, y0 = min(int(x), nu - 2), min(int(y), nv - 2)
+        fx, fy = x - x0, y - y0
+        a = look[i, NODE0] + y0 * nu + x0
+        b, c, d = a + 1, a + nu, a + nu + 1
+        wa, wb, wc, wd = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+    return (
+        wa * light[a, 0] + wb * light[b, 0] + wc * light[c, 0] + wd * light[d, 0],
+        wa * light[a, 1] + wb * light[b, 1] + wc * light[c, 1] + wd * light[d, 1],
+        wa * light[a, 2] + wb * light[b, 2] + wc * light[c, 2] + wd * light[d, 2],
+    )
+
+
+@njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
 def _texel(texels: Any, first: int, lw: int, lh: int, x: float, y: float) -> tuple[float, float, float]:
-    """Bilinear look-up in one mip level; x, y in texels, wrapping."""
+    """Bilinear look-up in one mip level; x, y in texels, wrapping. Texels hold 255 sqrt(linear)."""
     xf, yf = np.floor(x - 0.5), np.floor(y - 0.5)
     fx, fy = x - 0.5 - xf, y - 0.5 - yf
     mx, my = (1 << lw) - 1, (1 << lh) - 1
     x0, y0 = int(xf) & mx, int(yf) & my
     x1, y1 = (x0 + 1) & mx, (y0 + 1) & my
-    a, b = first + (y0 << lw), first + (y1 << lw)
-    w00, w10, w01, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-    r, g, bl = 0.0, 0.0, 0.0
-    c = float(texels[a + x0, 0])
-    r += w00 * c * c
-    c = float(texels[a + x1, 0])
-    r += w10 * c * c
-    c = float(texels[b + x0, 0])
-    r += w01 * c * c
-    c = float(texels[b + x1, 0])
-    r += w11 * c * c
-    c = float(texels[a + x0, 1])
-    g += w00 * c * c
-    c = float(texels[a + x1, 1])
-    g += w10 * c * c
-    c = float(texels[b + x0, 1])
-    g += w01 * c * c
-    c = float(texels[b + x1, 1])
-    g += w11 * c * c
-    c = float(texels[a + x0, 2])
-    bl += w00 * c * c
-    c = float(texels[a + x1, 2])
-    bl += w10 * c * c
-    c = float(texels[b + x0, 2])
-    bl += w01 * c * c
-    c = float(texels[b + x1, 2])
-    bl += w11 * c * c
-    k = 1.0 / 65025.0
-    return r * k, g * k, bl * k
+    r, g, b = 0.0, 0.0, 0.0
+    for k in range(4):
+        at = first + ((y1 if k >= 2 else y0) << lw) + (x1 if k & 1 else x0)
+        w = (fx if k & 1 else 1.0 - fx) * (fy if k >= 2 else 1.0 - fy)
+        c0, c1, c2 = float(texels[at, 0]), float(texels[at, 1]), float(texels[at, 2])
+        r, g, b = r + w * c0 * c0, g + w * c1 * c1, b + w * c2 * c2
+    k0 = 1.0 / 65025.0
+    return r * k0, g * k0, b * k0
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
 def _filtered(
-    texels: Any,
-    table: Any,
-    t: int,
-    s: float,
-    r: float,
-    sx: float,
-    rx: float,
-    sy: float,
-    ry: float,
-    taps: int,
+    texels: Any, table: Any, t: int, s: float, r: float, sx: float, rx: float, sy: float, ry: float, taps: float
 ) -> tuple[float, float, float]:
     """Texture t at (s, r) averaged over the parallelogram (sx, rx), (sy, ry); all in repeats."""
     first, lw, lh = table[t, 0], table[t, 1], table[t, 2]
-    if lw == 0 and lh == 0:
-        return _texel(texels, first, 0, 0, 0.5, 0.5)
     W, H = float(1 << lw), float(1 << lh)
     ax, ay, bx, by = sx * W, rx * H, sy * W, ry * H
+    # Axes of the footprint ellipse: singular values of [[ax, bx], [ay, by]].
     p, q, c = ax * ax + bx * bx, ay * ay + by * by, ax * ay + bx * by
     mid, dif = 0.5 * (p + q), 0.5 * (p - q)
     root = np.sqrt(dif * dif + c * c)
     major, minor = np.sqrt(max(mid + root, 1e-12)), np.sqrt(max(mid - root, 0.0))
-    n = min(taps, max(1, int(np.ceil(major / max(minor, 1.0) - 0.05))))
-    if dif >= 0:
-        ux, uy = dif + root, c
-    else:
-        ux, uy = c, root - dif
-    length = np.sqrt(ux * ux + uy * uy)
-    if length > 1e-12:
-        ux, uy = ux / length, uy / length
-    else:
-        ux, uy = 1.0, 0.0
-    lod = np.log2(max(max(minor, major / n), 1.0))
-    top = max(lw, lh)
-    lod = min(lod, float(top) - 1e-3)
-    level = int(lod)
-    f = lod - level
-    r0, g0, b0, r1, g1, b1 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    # Levels halve both sides until one of them is 1; textures have at most a ratio of a few.
-    l0w, l0h, at = lw, lh, first
+    n = int(min(taps, max(1.0, np.ceil(major / max(minor, 1.0) - 0.05))))
+    ux, uy = (dif + root, c) if dif >= 0 else (c, root - dif)
+    length = np.sqrt(ux * ux + uy * uy) + 1e-12
+    ux, uy = ux / length, uy / length
+    lod = min(np.log2(max(max(minor, major / n), 1.0)), float(max(lw, lh)) - 1e-3)
+    level = int(max(lod, 0.0))
+    f = max(lod, 0.0) - level
+    # Find where the level starts: each halves both sides down to 1.
+    w0, h0, at = lw, lh, first
     for _ in range(level):
-        at += 1 << (l0w + l0h)
-        l0w, l0h = max(l0w - 1, 0), max(l0h - 1, 0)
-    l1w, l1h, at1 = max(l0w - 1, 0), max(l0h - 1, 0), at + (1 << (l0w + l0h))
-    for k in range(n):
-        o = ((k + 0.5) / n - 0.5) * major
-        x, y = s * W + o * ux, r * H + o * uy
-        i0, i1 = 1.0 / (1 << (lw - l0w)), 1.0 / (1 << (lh - l0h))
-        a, b, d = _texel(texels, at, l0w, l0h, x * i0, y * i1)
-        r0, g0, b0 = r0 + a, g0 + b, b0 + d
-        if f > 0.02:
-            i0, i1 = 1.0 / (1 << (lw - l1w)), 1.0 / (1 << (lh - l1h))
-            a, b, d = _texel(texels, at1, l1w, l1h, x * i0, y * i1)
-            r1, g1, b1 = r1 + a, g1 + b, b1 + d
-    if f <= 0.02:
-        return r0 / n, g0 / n, b0 / n
-    return (r0 + f * (r1 - r0)) / n, (g0 + f * (g1 - g0)) / n, (b0 + f * (b1 - b0)) / n
+        at += 1 << (w0 + h0)
+        w0, h0 = max(w0 - 1, 0), max(h0 - 1, 0)
+    r0, g0, b0 = 0.0, 0.0, 0.0
+    for step in range(2):
+        share = f if step == 1 else 1.0 - f
+        if share > 0.02:
+            ix, iy = 1.0 / (1 << (lw - w0)), 1.0 / (1 << (lh - h0))
+            for k in range(n):
+                o = ((k + 0.5) / n - 0.5) * major
+                a, b, d = _texel(texels, at, w0, h0, (s * W + o * ux) * ix, (r * H + o * uy) * iy)
+                r0, g0, b0 = r0 + share * a, g0 + share * b, b0 + share * d
+        at += 1 << (w0 + h0)
+        w0, h0 = max(w0 - 1, 0), max(h0 - 1, 0)
+    total = n * ((f if f > 0.02 else 0.0) + (1.0 - f if 1.0 - f > 0.02 else 0.0))
+    return r0 / total, g0 / total, b0 / total
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
-def _surface(
-    i: int,
-    u: float,
-    v: float,
-    ux: float,
-    vx: float,
-    uy: float,
-    vy: float,
-    look: Any,
-    uv: Any,
-    tint: Any,
-    macro: Any,
-    glow: Any,
-    texels: Any,
-    table: Any,
-    light: Any,
-    taps: int,
-) -> tuple[float, float, float]:
+@njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
+def surface(
+    i: int, u: float, v: float, ux: float, vx: float, uy: float, vy: float,
+    look: Any, paint: Any, texels: Any, table: Any, light: Any, taps: float,
+) -> tuple[float, float, float]:  # fmt: skip
     """Diffuse or emitted radiance of primitive i at (u, v) with footprint d(u, v)/dx, d(u, v)/dy."""
-    s = uv[i, 0] + u * uv[i, 1] + v * uv[i, 2]
-    t = uv[i, 3] + u * uv[i, 4] + v * uv[i, 5]
-    sx, tx = ux * uv[i, 1] + vx * uv[i, 2], ux * uv[i, 4] + vx * uv[i, 5]
-    sy, ty = uy * uv[i, 1] + vy * uv[i, 2], uy * uv[i, 4] + vy * uv[i, 5]
-    r, g, b = _filtered(texels, table, look[i, 0], s, t, sx, tx, sy, ty, taps)
-    if glow[i, 0] > 0 or glow[i, 1] > 0 or glow[i, 2] > 0:
-        return r * glow[i, 0], g * glow[i, 1], b * glow[i, 2]
-    if look[i, 1] >= 0:
+    s = paint[i, 0] + u * paint[i, 1] + v * paint[i, 2]
+    t = paint[i, 3] + u * paint[i, 4] + v * paint[i, 5]
+    sx, tx = ux * paint[i, 1] + vx * paint[i, 2], ux * paint[i, 4] + vx * paint[i, 5]
+    sy, ty = uy * paint[i, 1] + vy * paint[i, 2], uy * paint[i, 4] + vy * paint[i, 5]
+    r, g, b = 1.0, 1.0, 1.0
+    if look[i, TEXTURE] > 0:
+        r, g, b = _filtered(texels, table, look[i, TEXTURE], s, t, sx, tx, sy, ty, taps)
+    if paint[i, GLOW] > 0.0:
+        return r * paint[i, GLOW], g * paint[i, GLOW + 1], b * paint[i, GLOW + 2]
+    if look[i, MACRO] >= 0:
         # Turned and at an odd ratio, so that no two repeats of the base texture look the same.
-        k = 0.37
-        ms, mt = k * (0.8 * s + 0.6 * t), k * (0.8 * t - 0.6 * s)
-        m, _, _ = _filtered(texels, table, look[i, 1], ms, mt, k * sx, k * tx, k * sy, k * ty, 1)
-        f = 1.0 + macro[i] * (2.0 * m - 1.0)
+        m, _, _ = _filtered(
+            texels, table, look[i, MACRO], 0.296 * s + 0.222 * t, 0.296 * t - 0.222 * s,
+            0.37 * sx, 0.37 * tx, 0.37 * sy, 0.37 * ty, 1.0,
+        )  # fmt: skip
+        f = 1.0 + paint[i, MACRO_STRENGTH] * (2.0 * m - 1.0)
         r, g, b = r * f, g * f, b * f
-    r *= tint[i, 0] * node_light(look, light, i, u, v, 0)
-    g *= tint[i, 1] * node_light(look, light, i, u, v, 1)
-    b *= tint[i, 2] * node_light(look, light, i, u, v, 2)
-    return r, g, b
+    lr, lg, lb = node_light(look, light, i, u, v)
+    return r * lr * paint[i, TINT], g * lg * paint[i, TINT + 1], b * lb * paint[i, TINT + 2]
 
 
-@njit(nogil=True, cache=True, fastmath=FAST, inline="always")
+@njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
 def tone(x: float, gain: float) -> float:
     """Display-linear 0..1: straight up to 0.6, then an exponential shoulder with the same slope."""
     x = x * gain
     return x if x < 0.6 else 0.6 + 0.4 * (1.0 - np.exp((0.6 - x) * 2.5))
 
 
-@njit(nogil=True, cache=True, fastmath=FAST)
+@njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
+def mirrored(
+    i: int, d0: float, d1: float, d2: float, t: float, spread: float, view: Any, normal: Any, duals: Any,
+    look: Any, paint: Any, texels: Any, table: Any, light: Any,
+    boxes: Any, links: Any, planes: Any, tree_shape: Any, order: Any, stack: Any,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """(r, g, b) seen by reflection in primitive i and the Fresnel weight of it (Schlick's approximation)."""
+    length = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    e0 = (view[0, 0] * d0 + view[0, 1] * d1 + view[0, 2] * d2) / length
+    e1 = (view[1, 0] * d0 + view[1, 1] * d1 + view[1, 2] * d2) / length
+    e2 = (view[2, 0] * d0 + view[2, 1] * d1 + view[2, 2] * d2) / length
+    n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
+    dist = t * length
+    c = e0 * n0 + e1 * n1 + e2 * n2
+    fresnel = paint[i, COAT] + (1.0 - paint[i, COAT]) * (1.0 - min(abs(c), 1.0)) ** 5
+    off = -1e-3 if c > 0.0 else 1e-3
+    hit, far, u, v = trace(
+        boxes, links, planes, tree_shape,
+        view[3, 0] + dist * e0 + off * n0, view[3, 1] + dist * e1 + off * n1, view[3, 2] + dist * e2 + off * n2,
+        e0 - 2.0 * c * n0, e1 - 2.0 * c * n1, e2 - 2.0 * c * n2, 1e3, 0.0, stack,
+    )  # fmt: skip
+    if hit < 0:
+        return 0.0, 0.0, 0.0, fresnel
+    j = order[hit]
+    # The coat is slightly rough: the reflection's footprint is twice a pixel's.
+    wide = 2.0 * spread * (dist + far)
+    ku = wide * np.sqrt(duals[j, 0] ** 2 + duals[j, 1] ** 2 + duals[j, 2] ** 2)
+    kv = wide * np.sqrt(duals[j, 3] ** 2 + duals[j, 4] ** 2 + duals[j, 5] ** 2)
+    r, g, b = surface(j, u, v, ku, 0.0, 0.0, kv, look, paint, texels, table, light, 1.0)
+    return min(r, WHITE_LIMIT), min(g, WHITE_LIMIT), min(b, WHITE_LIMIT), fresnel
+
+
+@njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
+def _shade_tile(
+    x0: int, x1: int, y0: int, y1: int, ids: Any, offsets: Any, f: Any, index: Any, rays: Any, ray_x: Any, ray_y: Any,
+    gain: float, view: Any, normal: Any, duals: Any,
+    look: Any, paint: Any, texels: Any, table: Any, light: Any,
+    boxes: Any, links: Any, planes: Any, tree_shape: Any, order: Any, stack: Any, seen_id: Any, seen: Any, out: Any,
+) -> None:  # fmt: skip
+    """Shade what the visibility samples of a tile found."""
+    per = offsets.shape[0]
+    n = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            kinds = 0
+            for s in range(per):
+                row = ids[n + s]
+                if row < 0:
+                    continue
+                mine = look[index[row], GROUP]
+                k = 0
+                while k < kinds and seen_id[k, 0] != mine:
+                    k += 1
+                if k == kinds:
+                    seen_id[k, 0], seen_id[k, 1] = mine, row
+                    seen[k, 0], seen[k, 1], seen[k, 2] = 0.0, 0.0, 0.0
+                    kinds += 1
+                seen[k, 0] += 1.0
+                seen[k, 1] += offsets[s, 0]
+                seen[k, 2] += offsets[s, 1]
+            n += per
+            ax, ay, az = ray_x[y, x, 0], ray_x[y, x, 1], ray_x[y, x, 2]
+            bx, by, bz = ray_y[y, x, 0], ray_y[y, x, 1], ray_y[y, x, 2]
+            for k in range(kinds):
+                ox, oy = seen[k, 1] / seen[k, 0], seen[k, 2] / seen[k, 0]
+                d0 = rays[y, x, 0] + ox * ax + oy * bx
+                d1 = rays[y, x, 1] + ox * ay + oy * by
+                d2 = rays[y, x, 2] + ox * az + oy * bz
+                row = seen_id[k, 1]
+                i = index[row]
+                share = seen[k, 0] / per
+                w = f[row, 0] * d0 + f[row, 1] * d1 + f[row, 2] * d2
+                if w < 1e-6:
+                    continue
+                t = 1.0 / w
+                u = (f[row, 3] * d0 + f[row, 4] * d1 + f[row, 5] * d2) * t
+                v = (f[row, 6] * d0 + f[row, 7] * d1 + f[row, 8] * d2) * t
+                # d(U/W) = (dU - u dW)/W along each pixel axis, narrowed to the part that is seen.
+                foot = np.sqrt(share) * t
+                dw = f[row, 0] * ax + f[row, 1] * ay + f[row, 2] * az
+                ux = (f[row, 3] * ax + f[row, 4] * ay + f[row, 5] * az - u * dw) * foot
+                vx = (f[row, 6] * ax + f[row, 7] * ay + f[row, 8] * az - v * dw) * foot
+                dw = f[row, 0] * bx + f[row, 1] * by + f[row, 2] * bz
+                uy = (f[row, 3] * bx + f[row, 4] * by + f[row, 5] * bz - u * dw) * foot
+                vy = (f[row, 6] * bx + f[row, 7] * by + f[row, 8] * bz - v * dw) * foot
+                r, g, b = surface(i, u, v, ux, vx, uy, vy, look, paint, texels, table, light, MAX_TAPS)
+                if paint[i, COAT] > 0.0:
+                    spread = 0.5 * (np.sqrt(ax * ax + ay * ay + az * az) + np.sqrt(bx * bx + by * by + bz * bz))
+                    mr, mg, mb, fresnel = mirrored(
+                        i, d0, d1, d2, t, spread, view, normal, duals, look, paint, texels, table, light,
+                        boxes, links, planes, tree_shape, order, stack,
+                    )  # fmt: skip
+                    r += fresnel * (mr - r)
+                    g += fresnel * (mg - g)
+                    b += fresnel * (mb - b)
+                out[y, x, 0] += share * tone(r, gain)
+                out[y, x, 1] += share * tone(g, gain)
+                out[y, x, 2] += share * tone(b, gain)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def render_frame(
-    R_wc: Any,
-    centre: Any,
-    rays: Any,
-    ray_x: Any,
-    ray_y: Any,
-    coarse: Any,
-    fine: Any,
-    sub: int,
-    gain: float,
-    p0: Any,
-    dual_u: Any,
-    dual_v: Any,
-    normal: Any,
-    two_sided: Any,
-    shape: Any,
-    group: Any,
-    look: Any,
-    uv: Any,
-    tint: Any,
-    coat: Any,
-    macro: Any,
-    glow: Any,
-    texels: Any,
-    table: Any,
-    light: Any,
-    boxes: Any,
-    links: Any,
-    planes: Any,
-    tree_shape: Any,
-    order: Any,
-    out: Any,
-) -> None:
+    view: Any, rays: Any, ray_x: Any, ray_y: Any, coarse: Any, fine: Any, offsets: Any, gain: float,
+    p0: Any, duals: Any, normal: Any, two_sided: Any, shape: Any,
+    look: Any, paint: Any, texels: Any, table: Any, light: Any,
+    boxes: Any, links: Any, planes: Any, tree_shape: Any, order: Any, out: Any,
+) -> None:  # fmt: skip
     """Add one frame's display-linear RGB to ``out`` (H, W, 3) float32.
 
     rays (H, W, 3) float32 in the camera frame, zero where the camera sees nothing; ray_x, ray_y: their derivatives
-    per pixel; coarse, fine: tile cones.
+    per pixel; coarse, fine: tile cones; offsets (S, 2): where in a pixel visibility is sampled.
     """
     H, W = rays.shape[0], rays.shape[1]
-    n_prims = p0.shape[0]
-    f = np.empty((n_prims, 9), np.float32)
-    index = np.empty(n_prims, np.int32)
-    count = edge_functions(p0, dual_u, dual_v, normal, two_sided, R_wc, centre, f, index)
+    f = np.empty((p0.shape[0], 9), np.float32)
+    index = np.empty(p0.shape[0], np.int32)
+    count = edge_functions(p0, duals, normal, two_sided, view, f, index)
     every = np.arange(count).astype(np.int32)
     big, small = np.empty(count + 1, np.int32), np.empty(count + 1, np.int32)
-    per = sub * sub
-    size = FINE_W * FINE_H * per
-    dx, dy, dz = (
-        np.empty(size, np.float32),
-        np.empty(size, np.float32),
-        np.empty(size, np.float32),
-    )
-    best, ids = np.empty(size, np.float32), np.empty(size, np.int32)
-    off_x, off_y = np.empty(per, np.float32), np.empty(per, np.float32)
-    for s in range(per):
-        # A sheared grid: every sample has its own row and column offset, so near-axis edges get ``per`` grey levels.
-        col, line = s % sub, s // sub
-        off_x[s] = (col + (line + 0.5) / sub) / sub - 0.5
-        off_y[s] = (line + (col + 0.5) / sub) / sub - 0.5
-    seen_group, seen_prim, seen_n = (
-        np.empty(per, np.int32),
-        np.empty(per, np.int32),
-        np.empty(per, np.int32),
-    )
-    seen_x, seen_y = np.empty(per, np.float32), np.empty(per, np.float32)
+    per = offsets.shape[0]
+    dirs = np.empty((3, FINE_W * FINE_H * per), np.float32)
+    best, ids = np.empty(FINE_W * FINE_H * per, np.float32), np.empty(FINE_W * FINE_H * per, np.int32)
+    seen_id, seen = np.empty((per, 2), np.int32), np.empty((per, 3), np.float32)
     stack = np.empty(128, np.int32)
-    for cy in range(coarse.shape[0]):
-        for cx in range(coarse.shape[1]):
-            n_big = candidates(f, index, shape, every, count, coarse[cy, cx], big)
-            for ty in range(
-                cy * (COARSE_H // FINE_H),
-                min((cy + 1) * (COARSE_H // FINE_H), fine.shape[0]),
-            ):
-                for tx in range(
-                    cx * (COARSE_W // FINE_W),
-                    min((cx + 1) * (COARSE_W // FINE_W), fine.shape[1]),
-                ):
-                    n_small = candidates(f, index, shape, big, n_big, fine[ty, tx], small)
-                    if n_small == 0:
-                        continue
-                    y0, x0 = ty * FINE_H, tx * FINE_W
-                    y1, x1 = min(y0 + FINE_H, H), min(x0 + FINE_W, W)
-                    n = 0
-                    for y in range(y0, y1):
-                        for x in range(x0, x1):
-                            for s in range(per):
-                                dx[n] = rays[y, x, 0] + off_x[s] * ray_x[y, x, 0] + off_y[s] * ray_y[y, x, 0]
-                                dy[n] = rays[y, x, 1] + off_x[s] * ray_x[y, x, 1] + off_y[s] * ray_y[y, x, 1]
-                                dz[n] = rays[y, x, 2] + off_x[s] * ray_x[y, x, 2] + off_y[s] * ray_y[y, x, 2]
-                                n += 1
-                    nearest(f, index, shape, small, n_small, dx, dy, dz, n, best, ids)
-                    n = 0
-                    for y in range(y0, y1):
-                        for x in range(x0, x1):
-                            seen = 0
-                            for s in range(per):
-                                row = ids[n + s]
-                                if row < 0:
-                                    continue
-                                mine = group[index[row]]
-                                k = 0
-                                while k < seen and seen_group[k] != mine:
-                                    k += 1
-                                if k == seen:
-                                    seen_group[k], seen_prim[k], seen_n[k] = mine, row, 0
-                                    seen_x[k], seen_y[k] = 0.0, 0.0
-                                    seen += 1
-                                seen_n[k] += 1
-                                seen_x[k] += off_x[s]
-                                seen_y[k] += off_y[s]
-                            n += per
-                            for k in range(seen):
-                                ox, oy = seen_x[k] / seen_n[k], seen_y[k] / seen_n[k]
-                                d0 = rays[y, x, 0] + ox * ray_x[y, x, 0] + oy * ray_y[y, x, 0]
-                                d1 = rays[y, x, 1] + ox * ray_x[y, x, 1] + oy * ray_y[y, x, 1]
-                                d2 = rays[y, x, 2] + ox * ray_x[y, x, 2] + oy * ray_y[y, x, 2]
-                                row = seen_prim[k]
-                                i = index[row]
-                                share = seen_n[k] / per
-                                w = f[row, 0] * d0 + f[row, 1] * d1 + f[row, 2] * d2
-                                if w < 1e-6:
-                                    continue
-                                t = 1.0 / w
-                                u = (f[row, 3] * d0 + f[row, 4] * d1 + f[row, 5] * d2) * t
-                                v = (f[row, 6] * d0 + f[row, 7] * d1 + f[row, 8] * d2) * t
-                                # d(U/W) = (dU - u dW)/W along each pixel axis, narrowed to the part that is seen.
-                                foot = np.sqrt(share) * t
-                                gx, gy, gz = (
-                                    ray_x[y, x, 0],
-                                    ray_x[y, x, 1],
-                                    ray_x[y, x, 2],
-                                )
-                                dw = f[row, 0] * gx + f[row, 1] * gy + f[row, 2] * gz
-                                ux = (f[row, 3] * gx + f[row, 4] * gy + f[row, 5] * gz - u * dw) * foot
-                                vx = (f[row, 6] * gx + f[row, 7] * gy + f[row, 8] * gz - v * dw) * foot
-                                gx, gy, gz = (
-                                    ray_y[y, x, 0],
-                                    ray_y[y, x, 1],
-                                    ray_y[y, x, 2],
-                                )
-                                dw = f[row, 0] * gx + f[row, 1] * gy + f[row, 2] * gz
-                                uy = (f[row, 3] * gx + f[row, 4] * gy + f[row, 5] * gz - u * dw) * foot
-                                vy = (f[row, 6] * gx + f[row, 7] * gy + f[row, 8] * gz - v * dw) * foot
-                                r, g, b = _surface(
-                                    i,
-                                    u,
-                                    v,
-                                    ux,
-                                    vx,
-                                    uy,
-                                    vy,
-                                    look,
-                                    uv,
-                                    tint,
-                                    macro,
-                                    glow,
-                                    texels,
-                                    table,
-                                    light,
-                                    MAX_TAPS,
-                                )
-                                if coat[i] > 0:
-                                    length = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
-                                    e0 = (R_wc[0, 0] * d0 + R_wc[0, 1] * d1 + R_wc[0, 2] * d2) / length
-                                    e1 = (R_wc[1, 0] * d0 + R_wc[1, 1] * d1 + R_wc[1, 2] * d2) / length
-                                    e2 = (R_wc[2, 0] * d0 + R_wc[2, 1] * d1 + R_wc[2, 2] * d2) / length
-                                    dist = t * length
-                                    c = e0 * normal[i, 0] + e1 * normal[i, 1] + e2 * normal[i, 2]
-                                    m0, m1, m2 = (
-                                        e0 - 2 * c * normal[i, 0],
-                                        e1 - 2 * c * normal[i, 1],
-                                        e2 - 2 * c * normal[i, 2],
-                                    )
-                                    side = -1.0 if c > 0 else 1.0
-                                    fresnel = coat[i] + (1 - coat[i]) * (1 - abs(c)) ** 5
-                                    q0 = centre[0] + dist * e0 + 1e-3 * side * normal[i, 0]
-                                    q1 = centre[1] + dist * e1 + 1e-3 * side * normal[i, 1]
-                                    q2 = centre[2] + dist * e2 + 1e-3 * side * normal[i, 2]
-                                    hit, far, hu, hv = trace(
-                                        boxes,
-                                        links,
-                                        planes,
-                                        tree_shape,
-                                        q0,
-                                        q1,
-                                        q2,
-                                        m0,
-                                        m1,
-                                        m2,
-                                        1e3,
-                                        False,
-                                        stack,
-                                    )
-                                    mr, mg, mb = 0.0, 0.0, 0.0
-                                    if hit >= 0:
-                                        j = order[hit]
-                                        spread = 0.5 * (
-                                            np.sqrt(ray_x[y, x, 0] ** 2 + ray_x[y, x, 1] ** 2 + ray_x[y, x, 2] ** 2)
-                                            + np.sqrt(ray_y[y, x, 0] ** 2 + ray_y[y, x, 1] ** 2 + ray_y[y, x, 2] ** 2)
-                                        )
-                                        wide = 1.5 * spread * (dist + far)
-                                        ku = wide * np.sqrt(dual_u[j, 0] ** 2 + dual_u[j, 1] ** 2 + dual_u[j, 2] ** 2)
-                                        kv = wide * np.sqrt(dual_v[j, 0] ** 2 + dual_v[j, 1] ** 2 + dual_v[j, 2] ** 2)
-                                        mr, mg, mb = _surface(
-                                            j,
-                                            hu,
-                                            hv,
-                                            ku,
-                                            0.0,
-                                            0.0,
-                                            kv,
-                                            look,
-                                            uv,
-                                            tint,
-                                            macro,
-                                            glow,
-                                            texels,
-                                            table,
-                                            light,
-                                            1,
-                                        )
-                                    r += fresnel * (min(mr, 6.0) - r)
-                                    g += fresnel * (min(mg, 6.0) - g)
-                                    b += fresnel * (min(mb, 6.0) - b)
-                                out[y, x, 0] += share * tone(r, gain)
-                                out[y, x, 1] += share * tone(g, gain)
-                                out[y, x, 2] += share * tone(b, gain)
+    down, across = COARSE_H // FINE_H, COARSE_W // FINE_W
+    for tile in range(coarse.shape[0] * coarse.shape[1]):
+        cy, cx = tile // coarse.shape[1], tile % coarse.shape[1]
+        n_big = candidates(f, index, shape, every, count, coarse[cy, cx], big)
+        for part in range(down * across):
+            ty, tx = cy * down + part // across, cx * across + part % across
+            if ty >= fine.shape[0] or tx >= fine.shape[1]:
+                continue
+            n_small = candidates(f, index, shape, big, n_big, fine[ty, tx], small)
+            if n_small == 0:
+                continue
+            y0, x0 = ty * FINE_H, tx * FINE_W
+            y1, x1 = min(y0 + FINE_H, H), min(x0 + FINE_W, W)
+            n = 0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    for s in range(per):
+                        for a in range(3):
+                            dirs[a, n] = rays[y, x, a] + offsets[s, 0] * ray_x[y, x, a] + offsets[s, 1] * ray_y[y, x, a]
+                        n += 1
+            nearest(f, index, shape, small, n_small, dirs[0], dirs[1], dirs[2], n, best, ids)
+            _shade_tile(
+                x0, x1, y0, y1, ids, offsets, f, index, rays, ray_x, ray_y, gain, view, normal, duals,
+                look, paint, texels, table, light, boxes, links, planes, tree_shape, order, stack, seen_id, seen, out,
+            )  # fmt: skip
 
 
-@njit(nogil=True, cache=True)
-def encode(image: Any, scale: float, sigma: float, rng: Any, out: Any) -> None:
-    """Display-linear (H, W, 3) x scale -> sRGB curve, Gaussian noise of ``sigma`` (0..1 units) -> uint8."""
+@njit(nogil=True, cache=True, error_model="numpy")
+def encode(image: Any, sigma: float, rng: Any, out: Any) -> None:
+    """Display-linear (H, W, 3) -> sRGB curve, Gaussian noise of ``sigma`` (0..1 units) -> uint8."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             for m in range(3):
-                c = min(max(image[y, x, m] * scale, 0.0), 1.0)
+                c = min(max(image[y, x, m], 0.0), 1.0)
                 c = 12.92 * c if c <= 0.0031308 else 1.055 * c ** (1 / 2.4) - 0.055
                 if sigma > 0:
                     c += sigma * rng.standard_normal()

@@ -43,6 +43,7 @@ class Room:
     skirting: Material = fx.WHITE
     sky: float = 3.0
     view: str = "outdoors"
+    own_view: bool = True  # False: the plan puts up the backdrops
 
     @property
     def width(self) -> float:
@@ -77,11 +78,11 @@ def build_shell(b: Builder, room: Room) -> None:
         (w, 0, 0),
         (0, d, 0),
         room.floor,
-        spacing=0.05,
+        spacing=0.75 * b.node_spacing,
         turn=w < d,
         origin=(0.0, 0.0),
     )
-    b.quad((room.x0, room.y0, h), (0, d, 0), (w, 0, 0), room.ceiling, spacing=0.12)
+    b.quad((room.x0, room.y0, h), (0, d, 0), (w, 0, 0), room.ceiling, spacing=1.7 * b.node_spacing)
     for side in SIDES:
         holes = room.openings.get(side, [])
         with room.frame(b, side):
@@ -91,17 +92,12 @@ def build_shell(b: Builder, room: Room) -> None:
                 if o.kind == "door":
                     fx.door(b, o, room.door)
                     fx.socket(b, o.x0 - 0.2, 1.1)
-                elif o.kind == "doorway":
-                    fx.casing(b, o)
+                elif o.kind == "window":
+                    fx.window(b, o, room.depth, room.sky, panes=max(2, round((o.x1 - o.x0) / 0.75)))
                 else:
-                    fx.window(
-                        b,
-                        o,
-                        room.depth,
-                        room.sky,
-                        room.view,
-                        panes=max(2, round((o.x1 - o.x0) / 0.75)),
-                    )
+                    fx.casing(b, o)
+            if room.own_view and any(o.kind == "window" for o in holes):
+                fx.backdrop(b, room.length(side) / 2, 15.0, room.sky, room.view)
 
 
 def furnish_wall(b: Builder, room: Room, side: str, items: list[Item]) -> list[tuple[float, float, float]]:

@@ -11,97 +11,112 @@ from numpy.typing import NDArray
 LEAF_SIZE = 4
 
 
-@njit(nogil=True, cache=True)
-def build_bvh(lo: Any, hi: Any) -> tuple[Any, Any, Any]:
-    """Binned surface-area-heuristic tree over boxes lo, hi (N, 3).
+@njit(nogil=True, cache=True, error_model="numpy")
+def _grow(box: Any, k: int, lo: Any, hi: Any, i: int) -> None:
+    for m in range(3):
+        box[k, m], box[k, 3 + m] = min(box[k, m], lo[i, m]), max(box[k, 3 + m], hi[i, m])
 
-    Returns boxes (K, 6) float32, links (K, 2) int32 - (first child, 0) or (first primitive, count) - and the order.
-    """
-    n = lo.shape[0]
-    order = np.arange(n)
-    boxes = np.empty((2 * n + 1, 6), np.float32)
-    links = np.empty((2 * n + 1, 2), np.int32)
-    stack = [(0, 0, n)]
-    used = 1
-    bins = 16
-    while len(stack) > 0:
-        node, a, b = stack.pop()
-        bl, bh = np.full(3, 1e30), np.full(3, -1e30)
-        cl, ch = np.full(3, 1e30), np.full(3, -1e30)
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _merge(box: Any, k: int, other: Any, j: int) -> float:
+    """Grow box k by box j of ``other``; returns half its surface."""
+    for m in range(3):
+        box[k, m], box[k, 3 + m] = min(box[k, m], other[j, m]), max(box[k, 3 + m], other[j, 3 + m])
+    x, y, z = box[k, 3] - box[k, 0], box[k, 4] - box[k, 1], box[k, 5] - box[k, 2]
+    return x * y + y * z + z * x if x >= 0 else 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _empty(box: Any) -> None:
+    for k in range(box.shape[0]):
+        for m in range(3):
+            box[k, m], box[k, 3 + m] = 1e30, -1e30
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _best_cut(
+    order: Any, a: int, b: int, lo: Any, hi: Any, mid: Any, cuts: Any, bins: Any, run: Any
+) -> tuple[int, float]:
+    """Axis and coordinate of the cheapest cut of order[a:b] by the surface area heuristic; axis -1: none."""
+    n = bins.shape[0]
+    best, axis, where = 1e30, -1, 0.0
+    for m in range(3):
+        low, high = 1e30, -1e30
         for j in range(a, b):
-            i = order[j]
-            for k in range(3):
-                bl[k], bh[k] = min(bl[k], lo[i, k]), max(bh[k], hi[i, k])
-                c = 0.5 * (lo[i, k] + hi[i, k])
-                cl[k], ch[k] = min(cl[k], c), max(ch[k], c)
-        for k in range(3):
-            boxes[node, k] = bl[k] - 1e-5
-            boxes[node, 3 + k] = bh[k] + 1e-5
-        best_cost, best_axis, best_bin = 1e30, -1, 0
+            low, high = min(low, mid[order[j], m]), max(high, mid[order[j], m])
+        if high - low < 1e-9:
+            continue
+        _empty(bins)
+        for k in range(n):
+            cuts[k, 0] = 0.0
+        for j in range(a, b):
+            k = min(n - 1, int((mid[order[j], m] - low) / (high - low) * n))
+            cuts[k, 0] += 1.0
+            _grow(bins, k, lo, hi, order[j])
+        _empty(run)
+        total = 0.0
+        for k in range(n - 1, 0, -1):
+            total += cuts[k, 0]
+            cuts[k, 1] = total * _merge(run, 0, bins, k)
+        total = 0.0
+        for k in range(n - 1):
+            total += cuts[k, 0]
+            cost = total * _merge(run, 1, bins, k) + cuts[k + 1, 1]
+            if total > 0 and total < b - a and cost < best:
+                best, axis, where = cost, m, low + (k + 1) * (high - low) / n
+    return axis, where
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _build(
+    lo: Any, hi: Any, mid: Any, order: Any, boxes: Any, links: Any, cuts: Any, bins: Any, run: Any, spans: Any
+) -> int:
+    top, used = 0, 1
+    spans[0, 0], spans[0, 1], spans[0, 2] = 0, 0, lo.shape[0]
+    _empty(boxes)
+    while top >= 0:
+        node, a, b = spans[top, 0], spans[top, 1], spans[top, 2]
+        top -= 1
+        for j in range(a, b):
+            _grow(boxes, node, lo, hi, order[j])
+        axis, where = -1, 0.0
         if b - a > LEAF_SIZE:
-            for axis in range(3):
-                width = ch[axis] - cl[axis]
-                if width < 1e-9:
-                    continue
-                counts = np.zeros(bins, np.int64)
-                binlo, binhi = np.full((bins, 3), 1e30), np.full((bins, 3), -1e30)
-                for j in range(a, b):
-                    i = order[j]
-                    k = min(
-                        bins - 1,
-                        int((0.5 * (lo[i, axis] + hi[i, axis]) - cl[axis]) / width * bins),
-                    )
-                    counts[k] += 1
-                    for m in range(3):
-                        binlo[k, m], binhi[k, m] = (
-                            min(binlo[k, m], lo[i, m]),
-                            max(binhi[k, m], hi[i, m]),
-                        )
-                right = np.zeros(bins)
-                al, ah = np.full(3, 1e30), np.full(3, -1e30)
-                total = 0
-                for k in range(bins - 1, 0, -1):
-                    total += counts[k]
-                    for m in range(3):
-                        al[m], ah[m] = min(al[m], binlo[k, m]), max(ah[m], binhi[k, m])
-                    d = np.maximum(ah - al, 0.0)
-                    right[k] = total * (d[0] * d[1] + d[1] * d[2] + d[2] * d[0])
-                al, ah = np.full(3, 1e30), np.full(3, -1e30)
-                total = 0
-                for k in range(bins - 1):
-                    total += counts[k]
-                    for m in range(3):
-                        al[m], ah[m] = min(al[m], binlo[k, m]), max(ah[m], binhi[k, m])
-                    if total == 0 or total == b - a:
-                        continue
-                    d = np.maximum(ah - al, 0.0)
-                    cost = total * (d[0] * d[1] + d[1] * d[2] + d[2] * d[0]) + right[k + 1]
-                    if cost < best_cost:
-                        best_cost, best_axis, best_bin = cost, axis, k
-        if best_axis < 0:
+            axis, where = _best_cut(order, a, b, lo, hi, mid, cuts, bins, run)
+        if axis < 0:
             links[node, 0], links[node, 1] = a, b - a
             continue
-        width = ch[best_axis] - cl[best_axis]
         i, j = a, b - 1
         while i <= j:
-            p = order[i]
-            k = min(
-                bins - 1,
-                int((0.5 * (lo[p, best_axis] + hi[p, best_axis]) - cl[best_axis]) / width * bins),
-            )
-            if k <= best_bin:
+            if mid[order[i], axis] < where:
                 i += 1
             else:
                 order[i], order[j] = order[j], order[i]
                 j -= 1
+        if i in (a, b):
+            i = (a + b) // 2
         links[node, 0], links[node, 1] = used, 0
-        stack.append((used, a, i))
-        stack.append((used + 1, i, b))
+        spans[top + 1, 0], spans[top + 1, 1], spans[top + 1, 2] = used, a, i
+        spans[top + 2, 0], spans[top + 2, 1], spans[top + 2, 2] = used + 1, i, b
+        top += 2
         used += 2
-    return boxes[:used].copy(), links[:used].copy(), order
+    return used
 
 
-@njit(nogil=True, cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"})
+def build_bvh(lo: NDArray, hi: NDArray) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int64]]:
+    """Binned surface-area-heuristic tree over boxes lo, hi (N, 3).
+
+    Returns boxes (K, 6) float32, links (K, 2) int32 - (first child, 0) or (first primitive, count) - and the order.
+    """
+    n = len(lo)
+    order = np.arange(n)
+    boxes, links = np.empty((2 * n + 1, 6)), np.empty((2 * n + 1, 2), dtype=np.int32)
+    work = np.empty((16, 2)), np.empty((16, 6)), np.empty((2, 6)), np.empty((256, 3), dtype=np.int64)
+    used = _build(lo, hi, 0.5 * (lo + hi), order, boxes, links, *work)
+    boxes = boxes[:used] + 1e-5 * np.repeat([-1.0, 1.0], 3)
+    return boxes.astype(np.float32), links[:used].copy(), order
+
+
+@njit(nogil=True, cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"}, error_model="numpy")
 def trace(
     boxes: Any,
     links: Any,
@@ -114,10 +129,10 @@ def trace(
     dy: float,
     dz: float,
     far: float,
-    any_hit: bool,
+    any_hit: float,
     stack: Any,
 ) -> tuple[int, float, float, float]:
-    """Nearest (or any) hit within ``far``: (row of ``planes`` or -1, distance, u, v).
+    """Nearest (``any_hit`` > 0: any) hit within ``far``: (row of ``planes`` or -1, distance, u, v).
 
     ``planes`` (N, 12) float32 in tree order: normal and its offset, dual u and offset, dual v and offset.
     """
@@ -172,7 +187,7 @@ def trace(
             if s == 3 and abs(v - 0.5) > 2.0 * u * (1.0 - u):
                 continue
             best, who, bu, bv = t, i, u, v
-            if any_hit:
+            if any_hit > 0.0:
                 return who, best, bu, bv
     return who, best, bu, bv
 
@@ -185,7 +200,7 @@ def plane_rows(p0: NDArray, normal: NDArray, dual_u: NDArray, dual_v: NDArray) -
     return np.ascontiguousarray(np.concatenate(cols, axis=1), dtype=np.float32)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def clearances(p0: Any, eu: Any, ev: Any, points: Any) -> Any:
     """Lower bound of the distance (M,) from each point to the primitives, metres (discs and leaves as rectangles)."""
     out = np.full(points.shape[0], 1e30)

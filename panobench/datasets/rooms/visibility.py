@@ -19,44 +19,27 @@ FINE_W, FINE_H = 16, 8
 TOLERANCE = 2e-5  # in units of the edge: closes the cracks float32 leaves between neighbours
 
 
-@njit(nogil=True, cache=True)
-def edge_functions(
-    p0: Any,
-    dual_u: Any,
-    dual_v: Any,
-    normal: Any,
-    two_sided: Any,
-    R_wc: Any,
-    centre: Any,
-    out: Any,
-    index: Any,
-) -> int:
+@njit(nogil=True, cache=True, error_model="numpy")
+def edge_functions(p0: Any, duals: Any, normal: Any, two_sided: Any, view: Any, out: Any, index: Any) -> int:
     """Fill ``out`` (N, 9) float32 with W, U, V in the camera frame of the primitives that face the centre.
 
-    Their numbers go to ``index``; returns how many.
+    duals (N, 6): dual edges; view (4, 3): rows of the camera-to-world rotation, then the centre. The primitives'
+    numbers go to ``index``; returns how many.
     """
     count = 0
     for i in range(p0.shape[0]):
-        q0, q1, q2 = p0[i, 0] - centre[0], p0[i, 1] - centre[1], p0[i, 2] - centre[2]
+        q0, q1, q2 = p0[i, 0] - view[3, 0], p0[i, 1] - view[3, 1], p0[i, 2] - view[3, 2]
         n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
         k = n0 * q0 + n1 * q1 + n2 * q2
         if abs(k) < 1e-9 or (k > 0 and not two_sided[i]):
             continue
-        ku = dual_u[i, 0] * q0 + dual_u[i, 1] * q1 + dual_u[i, 2] * q2
-        kv = dual_v[i, 0] * q0 + dual_v[i, 1] * q1 + dual_v[i, 2] * q2
+        a0, a1, a2, b0, b1, b2 = duals[i, 0], duals[i, 1], duals[i, 2], duals[i, 3], duals[i, 4], duals[i, 5]
+        ku, kv = a0 * q0 + a1 * q1 + a2 * q2, b0 * q0 + b1 * q1 + b2 * q2
         w0, w1, w2 = n0 / k, n1 / k, n2 / k
-        u0, u1, u2 = (
-            dual_u[i, 0] - ku * w0,
-            dual_u[i, 1] - ku * w1,
-            dual_u[i, 2] - ku * w2,
-        )
-        v0, v1, v2 = (
-            dual_v[i, 0] - kv * w0,
-            dual_v[i, 1] - kv * w1,
-            dual_v[i, 2] - kv * w2,
-        )
+        u0, u1, u2 = a0 - ku * w0, a1 - ku * w1, a2 - ku * w2
+        v0, v1, v2 = b0 - kv * w0, b1 - kv * w1, b2 - kv * w2
         for j in range(3):
-            r0, r1, r2 = R_wc[0, j], R_wc[1, j], R_wc[2, j]
+            r0, r1, r2 = view[0, j], view[1, j], view[2, j]
             out[count, j] = r0 * w0 + r1 * w1 + r2 * w2
             out[count, 3 + j] = r0 * u0 + r1 * u1 + r2 * u2
             out[count, 6 + j] = r0 * v0 + r1 * v1 + r2 * v2
@@ -65,7 +48,7 @@ def edge_functions(
     return count
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(nogil=True, cache=True, error_model="numpy")
 def _reaches(
     x: float,
     y: float,
@@ -83,7 +66,7 @@ def _reaches(
     return along * cos_h + across * sin_h > -1e-4 * np.sqrt(norm2)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _may_touch(
     f: Any,
     i: int,
@@ -110,7 +93,7 @@ def _may_touch(
     return _reaches(w0 - v0, w1 - v1, w2 - v2, ax, ay, az, cos_h, sin_h)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def cone_of(rays: Any, y0: int, y1: int, x0: int, x1: int, spread: float) -> tuple[float, float, float, float]:
     """Axis and cosine of the half angle of the cone round a block of rays, widened by ``spread`` radians.
 
@@ -143,7 +126,7 @@ def cone_of(rays: Any, y0: int, y1: int, x0: int, x1: int, spread: float) -> tup
     )
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def tile_cones(rays: Any, spreads: Any, tile_w: int, tile_h: int) -> Any:
     """(rows, columns, 4) float64: axis and cosine of each tile; ``spreads`` (H, W), radians, covers its pixels."""
     H, W = rays.shape[0], rays.shape[1]
@@ -161,7 +144,7 @@ def tile_cones(rays: Any, spreads: Any, tile_w: int, tile_h: int) -> Any:
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def candidates(f: Any, index: Any, shape: Any, source: Any, count: int, cone: Any, out: Any) -> int:
     """Rows of ``source[:count]`` (numbers into ``f``) that may be seen in the cone go to ``out``; returns how many."""
     cos_h = cone[3]
@@ -181,7 +164,7 @@ def candidates(f: Any, index: Any, shape: Any, source: Any, count: int, cone: An
     return n
 
 
-@njit(nogil=True, cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"})
+@njit(nogil=True, cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"}, error_model="numpy")
 def nearest(
     f: Any,
     index: Any,
@@ -243,61 +226,41 @@ def nearest(
                 who[j] = i if hit else who[j]
 
 
-@njit(nogil=True, cache=True)
-def cast_centres(
-    f: Any,
-    count: int,
-    index: Any,
-    shape: Any,
-    rays: Any,
-    coarse: Any,
-    fine: Any,
-    who: Any,
-) -> None:
+@njit(nogil=True, cache=True, error_model="numpy")
+def cast_centres(f: Any, count: int, index: Any, shape: Any, rays: Any, coarse: Any, fine: Any, who: Any) -> None:
     """Primitive number seen by each pixel's centre ray into ``who`` (H, W) int32, -1 where none."""
     H, W = rays.shape[0], rays.shape[1]
-    every = np.arange(count, dtype=np.int32)
+    every = np.arange(count).astype(np.int32)
     big, small = np.empty(count + 1, np.int32), np.empty(count + 1, np.int32)
-    size = FINE_W * FINE_H
-    dx, dy, dz = (
-        np.empty(size, np.float32),
-        np.empty(size, np.float32),
-        np.empty(size, np.float32),
-    )
-    best, ids = np.empty(size, np.float32), np.empty(size, np.int32)
-    for cy in range(coarse.shape[0]):
-        for cx in range(coarse.shape[1]):
-            n_big = candidates(f, index, shape, every, count, coarse[cy, cx], big)
-            for ty in range(
-                cy * (COARSE_H // FINE_H),
-                min((cy + 1) * (COARSE_H // FINE_H), fine.shape[0]),
-            ):
-                for tx in range(
-                    cx * (COARSE_W // FINE_W),
-                    min((cx + 1) * (COARSE_W // FINE_W), fine.shape[1]),
-                ):
-                    n_small = candidates(f, index, shape, big, n_big, fine[ty, tx], small)
-                    y0, x0 = ty * FINE_H, tx * FINE_W
-                    y1, x1 = min(y0 + FINE_H, H), min(x0 + FINE_W, W)
-                    n = 0
-                    for y in range(y0, y1):
-                        for x in range(x0, x1):
-                            dx[n], dy[n], dz[n] = (
-                                rays[y, x, 0],
-                                rays[y, x, 1],
-                                rays[y, x, 2],
-                            )
-                            n += 1
-                    nearest(f, index, shape, small, n_small, dx, dy, dz, n, best, ids)
-                    n = 0
-                    for y in range(y0, y1):
-                        for x in range(x0, x1):
-                            who[y, x] = index[ids[n]] if ids[n] >= 0 else -1
-                            n += 1
+    dirs = np.empty((3, FINE_W * FINE_H), np.float32)
+    best, ids = np.empty(FINE_W * FINE_H, np.float32), np.empty(FINE_W * FINE_H, np.int32)
+    down, across = COARSE_H // FINE_H, COARSE_W // FINE_W
+    for tile in range(coarse.shape[0] * coarse.shape[1]):
+        cy, cx = tile // coarse.shape[1], tile % coarse.shape[1]
+        n_big = candidates(f, index, shape, every, count, coarse[cy, cx], big)
+        for part in range(down * across):
+            ty, tx = cy * down + part // across, cx * across + part % across
+            if ty >= fine.shape[0] or tx >= fine.shape[1]:
+                continue
+            n_small = candidates(f, index, shape, big, n_big, fine[ty, tx], small)
+            y0, x0 = ty * FINE_H, tx * FINE_W
+            y1, x1 = min(y0 + FINE_H, H), min(x0 + FINE_W, W)
+            n = 0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    for a in range(3):
+                        dirs[a, n] = rays[y, x, a]
+                    n += 1
+            nearest(f, index, shape, small, n_small, dirs[0], dirs[1], dirs[2], n, best, ids)
+            n = 0
+            for y in range(y0, y1):
+                for x in range(x0, x1):
+                    who[y, x] = index[ids[n]] if ids[n] >= 0 else -1
+                    n += 1
 
 
-@njit(nogil=True, cache=True)
-def plane_depth(p0: Any, normal: Any, who: Any, rays: Any, R_wc: Any, centre: Any, out: Any) -> None:
+@njit(nogil=True, cache=True, error_model="numpy")
+def plane_depth(p0: Any, normal: Any, who: Any, rays: Any, view: Any, out: Any) -> None:
     """Radial depth (H, W) float32 of the seen primitives' planes in float64 arithmetic; NaN where none."""
     for y in range(who.shape[0]):
         for x in range(who.shape[1]):
@@ -307,7 +270,7 @@ def plane_depth(p0: Any, normal: Any, who: Any, rays: Any, R_wc: Any, centre: An
                 continue
             k, s = 0.0, 0.0
             for a in range(3):
-                d = R_wc[a, 0] * rays[y, x, 0] + R_wc[a, 1] * rays[y, x, 1] + R_wc[a, 2] * rays[y, x, 2]
-                k += normal[i, a] * (p0[i, a] - centre[a])
+                d = view[a, 0] * rays[y, x, 0] + view[a, 1] * rays[y, x, 1] + view[a, 2] * rays[y, x, 2]
+                k += normal[i, a] * (p0[i, a] - view[3, a])
                 s += normal[i, a] * d
             out[y, x] = k / s

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from panobench.datasets.rooms import cache, motion
 from panobench.datasets.rooms.kinds import KINDS, Kind
+from panobench.datasets.rooms.mesh import TRIANGLE
 from panobench.datasets.rooms.plans import Plan
 from panobench.datasets.rooms.render import worker_count
-from panobench.datasets.rooms.scene import Geometry, Scene, make_geometry, make_surfaces
+from panobench.datasets.rooms.scene import Geometry, Scene, Surfaces, make_geometry, make_surfaces
 
 Array = NDArray[np.float64]
 NOVEL_VIEWS = 8
@@ -62,11 +63,15 @@ class World:
         """Cache folder of the room: light and poses."""
         return cache.cache_root() / "rooms" / f"{self.name}-{self.seed}-{cache.key_of(self.key())}"
 
+    @cached_property
+    def _surfaces(self) -> Surfaces:
+        return make_surfaces(self.plan.mesh, self.seed, worker_count())
+
     def _bake(self, folder: Path) -> None:
         from panobench.datasets.rooms.bake import bake
 
         g = self.geometry
-        surfaces = make_surfaces(g.mesh, self.seed)
+        surfaces = self._surfaces
         light = bake(g, surfaces, worker_count())
         exposure = _exposure(g, light, surfaces.albedo)
         T_wc = motion.clear_trajectory(
@@ -95,19 +100,26 @@ class World:
     def scene(self) -> Scene:
         """Ready to render."""
         self.prepare()
-        surfaces = make_surfaces(self.geometry.mesh, self.seed)
+        surfaces = self._surfaces
         with np.load(self.folder / "room.npz") as z:
             surfaces.light = z["light"]
         return Scene(self.geometry, surfaces)
 
 
 def _exposure(g: Geometry, light: NDArray[np.float32], albedo: NDArray[np.float32]) -> float:
-    """Gain that puts the room's area-weighted log mean radiance at 0.15 of display white."""
+    """Gain that brings the room's area-weighted log mean radiance to 0.28 sqrt(its albedo) of display white.
+
+    White rooms then come out brighter than dark ones, as with a photographer's exposure.
+    """
     mesh = g.mesh
-    flat = mesh.shape != 1
+    flat = mesh.shape != TRIANGLE
     area = np.linalg.norm(np.cross(mesh.eu, mesh.ev), axis=1)[flat]
     luma = np.array([0.21, 0.72, 0.07])
     brightness = light @ luma
-    per = np.array([brightness[a : a + n * m].mean() for a, n, m in mesh.nodes[flat]]) * (albedo[flat] @ luma)
-    ok = per > 1e-4
-    return float(0.15 / np.exp(np.average(np.log(per[ok]), weights=area[ok])))
+    lit = np.array([brightness[a : a + n * m].mean() for a, n, m in mesh.nodes[flat]])
+    reflectance = albedo[flat] @ luma
+    ok = lit * reflectance > 1e-4
+    weights = area[ok] / area[ok].sum()
+    log_albedo = float(weights @ np.log(reflectance[ok]))
+    log_radiance = float(weights @ np.log(lit[ok])) + log_albedo
+    return float(0.28 * np.exp(0.5 * log_albedo - log_radiance))
