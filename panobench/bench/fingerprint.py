@@ -6,7 +6,7 @@ not, at the top or inside functions. Other packages count by their version.
 
 from __future__ import annotations
 
-import ast
+import dis
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -15,6 +15,7 @@ import platform
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 #: Packages whose version changes numbers.
@@ -42,13 +43,14 @@ def code_fingerprint(implementations: Iterable[str]) -> str:
     waiting = sorted(roots)
     while waiting:
         name = waiting.pop()
-        if name in modules or name.partition(".")[0] not in packages or _is_not_results(name):
+        if not name or name in modules or name.partition(".")[0] not in packages or _is_not_results(name):
             continue
         if name not in roots and _spec(name) is None:
             continue  # a name imported from a module, not a module
         source = _source(name)
         modules[name] = source or _version_of(name)
-        waiting += _imports(name)
+        # importing a module runs the packages around it
+        waiting += [*_imports(name), name.rpartition(".")[0]]
     return digest(modules)
 
 
@@ -111,27 +113,45 @@ def _version_of(name: str) -> str:
 
 @cache
 def _imports(name: str) -> list[str]:
-    """What a module may import: the modules it names, and the names it takes from them."""
+    """What a module may import: the modules it names, and the names it takes from them.
+
+    From the compiled code, not the syntax tree: CPython 3.11 can fail to build the latter in a second thread.
+    """
     try:
-        tree = ast.parse(_source(name) or "")
-    except SyntaxError:
+        code = compile(_source(name) or "", name, "exec", dont_inherit=True)
+    except (SyntaxError, ValueError):
         return []
     package = name if _is_package(name) else name.rpartition(".")[0]
     found: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                parent = package.split(".")[: len(package.split(".")) - node.level + 1]
+    waiting = [code]
+    while waiting:
+        part = waiting.pop()
+        for constant in part.co_consts:
+            if isinstance(constant, CodeType):
+                waiting.append(constant)
+            elif isinstance(constant, str):
+                found.update(_lazy_reference(constant))
+        found.update(_imported_by(part, package))
+    return sorted(f for f in found if f)
+
+
+def _imported_by(code: CodeType, package: str) -> set[str]:
+    """Operands of the import instructions: before each stand the relative level and the names taken from it."""
+    found: set[str] = set()
+    constants: list[Any] = []
+    for instruction in dis.get_instructions(code):
+        if instruction.opname == "IMPORT_NAME":
+            level, names = constants[-2:]
+            base = instruction.argval
+            if level:
+                parent = package.split(".")[: len(package.split(".")) - level + 1]
                 base = ".".join([*parent, *([base] if base else [])])
             found.add(base)
             # "from package import module" names a module too; which of them are is seen when they are looked up
-            found.update(f"{base}.{alias.name}" for alias in node.names if alias.name != "*")
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            found.update(_lazy_reference(node.value))
-    return sorted(f for f in found if f)
+            found.update(f"{base}.{n}" for n in names or () if n != "*")
+        elif instruction.opname in ("LOAD_CONST", "LOAD_SMALL_INT"):
+            constants.append(instruction.argval)
+    return found
 
 
 def _lazy_reference(text: str) -> set[str]:

@@ -9,7 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -31,31 +31,32 @@ class InfrastructureError(PanobenchError):
     """Not the method's failure: the process that watched over it was lost."""
 
 
+class Interrupted(Exception):
+    """A run was stopped before it could write anything."""
+
+
 class Stopper:
-    """Lets another thread (or a signal handler) stop the runs that are going on."""
+    """Lets another thread stop the runs that are going on."""
 
     def __init__(self) -> None:
-        self._processes: set[subprocess.Popen[bytes]] = set()
-        self._lock = threading.Lock()
+        self._actions: list[Callable[[], object]] = []
         self.requested = False
 
     def stop(self) -> None:
         self.requested = True
-        for process in list(self._processes):
-            with contextlib.suppress(ProcessLookupError):
-                process.send_signal(signal.SIGTERM)
+        for action in list(self._actions):
+            action()
 
     @contextlib.contextmanager
-    def watching(self, process: subprocess.Popen[bytes]) -> Any:
-        with self._lock:
-            self._processes.add(process)
+    def watching(self, action: Callable[[], object]) -> Iterator[None]:
+        """``action`` is what stops the run that the block waits for."""
+        self._actions.append(action)
         if self.requested:
-            self.stop()
+            action()
         try:
             yield
         finally:
-            with self._lock:
-                self._processes.discard(process)
+            self._actions.remove(action)
 
 
 def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stopper | None = None) -> Path:
@@ -89,7 +90,7 @@ def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stoppe
         )
     except OSError as error:
         raise StoreError(f"{place}: cannot be written ({error.strerror})") from error
-    with stopper.watching(process):
+    with stopper.watching(process.terminate):
         process.wait()
     result = _read_result(place / "result.json")
     if result is None:

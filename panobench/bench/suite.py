@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from panobench.bench.cells import Cell, Planned, Planner
 from panobench.bench.failure import write_failure
-from panobench.bench.isolated import InfrastructureError, Stopper, run_isolated
+from panobench.bench.isolated import InfrastructureError, Interrupted, Stopper, run_isolated
 from panobench.bench.store import Quarantined, Store, Stored
 from panobench.errors import UnknownNameError
 from panobench.types import RunStatus
@@ -139,8 +139,18 @@ def entry(planned: Planned, suite: str, attempt: int = 1) -> dict[str, Any]:
     }
 
 
-def compute(planned: Planned, suite: str, place: Path, stopper: Stopper) -> Path:
-    """The cell's run folder, somewhere below ``place``: by running it, or by writing down why it cannot run."""
+def compute(
+    planned: Planned,
+    suite: str,
+    place: Path,
+    stopper: Stopper,
+    run: Callable[[Cell, dict[str, Any], Path, Stopper], Path] | None = None,
+) -> Path:
+    """The cell's run folder, somewhere below ``place``: by running it, or by writing down why it cannot run.
+
+    run: where and how; ``run_isolated`` on this machine by default.
+    """
+    run = run or run_isolated
     if planned.status is not None:
         about = {"cell": entry(planned, suite)}
         return write_failure(place / "run", planned.cell.request, planned.status, planned.message, extra=about)
@@ -148,11 +158,13 @@ def compute(planned: Planned, suite: str, place: Path, stopper: Stopper) -> Path
         there = place / f"attempt-{attempt}"
         there.mkdir()
         try:
-            return run_isolated(planned.cell, entry(planned, suite, attempt), there, stopper)
+            return run(planned.cell, entry(planned, suite, attempt), there, stopper)
+        except Interrupted:
+            lost = "interrupted"
         except InfrastructureError as error:
             lost = str(error)
-            if stopper.requested:
-                break
+        if stopper.requested:
+            break
     message = f"not run to its end: {lost}"
     about = {"cell": entry(planned, suite, attempt)}
     return write_failure(place / "run", planned.cell.request, RunStatus.INTERRUPTED, message, extra=about)
