@@ -16,7 +16,7 @@ import numpy as np
 from panobench.bench.runfolder import read_run_json
 from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import InputError
-from panobench.geometry import so3_log, umeyama
+from panobench.geometry import Sim3, so3_log, umeyama
 from panobench.report.model import (
     VARIANT_KEYS,
     Array,
@@ -31,6 +31,8 @@ from panobench.report.model import (
 from panobench.types import Trajectory
 
 LOG_LINES = 40
+#: Where a suite's store puts run folders that cannot be read (panobench.bench.store).
+QUARANTINE = "_quarantine"
 #: Largest time difference, as a share of the median frame interval, for a pose to meet its ground truth.
 TIME_TOLERANCE = 0.4
 _RENDER = re.compile(r"^(novel_)?(\d+)\.(jpg|jpeg|png|webp)$", re.IGNORECASE)
@@ -49,6 +51,7 @@ def collect(paths: Iterable[Path]) -> Collection:
         if not path.exists():
             raise InputError("no such file or folder; give run folders or a folder that contains them", path)
         folders = find_runs(path)
+        problems += [Problem(p, "set aside by the suite because it could not be read") for p in find_quarantined(path)]
         if not folders:
             raise InputError("no run.json here or below; is this a run folder?", path)
         for folder in folders:
@@ -78,6 +81,12 @@ def find_runs(path: Path) -> list[Path]:
     return found
 
 
+def find_quarantined(path: Path) -> list[Path]:
+    """Runs a suite has set aside in the store at ``path``, for the report not to hide them."""
+    folder = path / QUARANTINE
+    return sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
+
+
 def read_run(folder: Path) -> Run:
     """One run folder. Raises InputError when run.json is not usable; other files may be absent or damaged."""
     document = read_run_json(folder)
@@ -87,10 +96,10 @@ def read_run(folder: Path) -> Run:
     groundtruth = _optional_tum(folder / "groundtruth.tum", warnings)
     metrics, timing = _mapping(document.get("metrics")), _mapping(document.get("timing"))
     numbers = {key: _number(value) for key, value in {**metrics, **timing}.items()}
-    metric_scale = bool(document.get("metric", spec.get("metric", False)))
+    protocol = _text(document.get("protocol"))
     errors = None
     if trajectory is not None and groundtruth is not None:
-        errors = trajectory_errors(trajectory, groundtruth, with_scale=not metric_scale)
+        errors = trajectory_errors(trajectory, groundtruth, alignment=_alignment(document, protocol))
         path, ate = groundtruth.path_length(), numbers.get("ate_rmse_m")
         if ate is not None and path > 0:
             numbers["ate_percent"] = 100.0 * ate / path
@@ -117,17 +126,21 @@ def read_run(folder: Path) -> Run:
         depth=_depth(folder, document),
         log_tail=_log_tail(folder / "log.txt"),
         command=_command(document, spec),
+        protocol=protocol,
+        true_depth=bool(_mapping(document.get("depth")).get("oracle")),
         warnings=tuple(warnings),
     )
 
 
-def trajectory_errors(estimate: Trajectory, truth: Trajectory, *, with_scale: bool = True) -> Errors | None:
-    """Match by time, align with Sim(3) (or SE(3)), and give the error per pose; None under three matches."""
+def trajectory_errors(estimate: Trajectory, truth: Trajectory, *, alignment: str = "Sim(3)") -> Errors | None:
+    """Match by time, align ("Sim(3)", "SE(3)" or "none"), and give the error per pose; None under three matches."""
     mine, theirs = match_times(estimate.times, truth.times)
     if len(mine) < 3:
         return None
     est, ref = estimate.select(mine), truth.select(theirs)
-    transform = umeyama(est.positions, ref.positions, with_scale=with_scale)
+    transform = Sim3(1.0, np.eye(3), np.zeros(3))
+    if alignment != "none":
+        transform = umeyama(est.positions, ref.positions, with_scale=alignment == "Sim(3)")
     moved = transform.apply_poses(est.T_wc)
     delta = np.swapaxes(ref.T_wc[:, :3, :3], -1, -2) @ moved[:, :3, :3]
     return Errors(
@@ -135,8 +148,8 @@ def trajectory_errors(estimate: Trajectory, truth: Trajectory, *, with_scale: bo
         positions=moved[:, :3, 3],
         translation=np.linalg.norm(moved[:, :3, 3] - ref.positions, axis=1),
         rotation=np.degrees(np.linalg.norm(so3_log(delta), axis=1)),
-        alignment="Sim(3)" if with_scale else "SE(3)",
-        scale=transform.scale,
+        alignment=alignment,
+        transform=transform,
     )
 
 
@@ -151,6 +164,14 @@ def match_times(times: Array, reference: Array) -> tuple[np.ndarray, np.ndarray]
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.05
     keep = np.flatnonzero(np.abs(times - reference[nearest]) <= max(TIME_TOLERANCE * step, 1e-6))
     return keep, nearest[keep]
+
+
+def _alignment(document: Mapping[str, Any], protocol: str) -> str:
+    """The alignment the run was scored with: the protocol's own choice, or the one its name states."""
+    for word, alignment in (("sim3", "Sim(3)"), ("se3", "SE(3)"), ("none", "none")):
+        if f"align={word}" in protocol:
+            return alignment
+    return "SE(3)" if document.get("metric") else "Sim(3)"
 
 
 def _mapping(value: Any) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 
-from panobench.report.tables import Cell, Column, Row, Table
+from panobench.report.table_model import Cell, Column, Row, Table
 
 _LATEX = {
     "\\": r"\textbackslash{}",
@@ -31,6 +31,7 @@ _LATEX = {
     "“": "``",
     "”": "''",
     "′": r"$'$",
+    "†": r"$^\dagger$",
 }
 
 
@@ -108,21 +109,21 @@ def markdown_text(text: str) -> str:
 def to_csv(tables: Sequence[Table]) -> str:
     """One block per table, separated by an empty line; numbers at full precision, failures "/", unknown empty.
 
-    Every table starts with its own heading row; the first column is the table's name, the second the row's origin.
+    Every table starts with its own heading row; first the table's name, the row's origin, its flags.
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     for k, table in enumerate(tables):
         if k:
             stream.write("\n")
-        heading = ["table", "origin"]
+        heading = ["table", "origin", "flags"]
         for column in table.columns:
             heading.append(_machine_heading(column))
             if _has_coverage(table, column):
                 heading.append(f"{_machine_heading(column)} tracked")
         writer.writerow(map(csv_text, heading))
         for row in table.rows:
-            words = [table.name, row.origin]
+            words = [table.name, row.origin, "; ".join(row.flags)]
             for column, cell in zip(table.columns, row.cells):
                 words.append(_csv_value(column, cell))
                 if _has_coverage(table, column):
@@ -167,9 +168,9 @@ def _has_coverage(table: Table, column: Column) -> bool:
 
 
 def _marker(row: Row, *, latex: bool = False) -> str:
-    if row.origin == "measured":
-        return ""
-    return rf" \textit{{({row.origin})}}" if latex else f" *({row.origin})*"
+    words = [*([] if row.origin == "measured" else [row.origin]), *row.flags]
+    text = ", ".join(words)
+    return "" if not words else rf" \textit{{({text})}}" if latex else f" *({text})*"
 
 
 FORMATS: dict[str, Callable[[Sequence[Table]], str]] = {

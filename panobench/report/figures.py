@@ -92,7 +92,7 @@ def trajectory_figures(runs: Sequence[Run], labels: Sequence[str], colours: Sequ
             start = {"name": "Start", "meta": meta, "mode": "markers", "hoverinfo": "name"}
             plan.append({**start, "type": "scatter", "x": x[:1], "y": y[:1], "marker": {"size": 9}})
             spatial.append({**start, "type": "scatter3d", "x": x[:1], "y": y[:1], "z": z[:1], "marker": {"size": 5}})
-    unit = "m"
+    unit = "m" if truth is not None else "method's unit"
     axis = {"title": {"text": f"x [{unit}]"}}
     layout3 = {
         "scene": {
@@ -100,7 +100,7 @@ def trajectory_figures(runs: Sequence[Run], labels: Sequence[str], colours: Sequ
             "xaxis": axis,
             "yaxis": {"title": {"text": f"y [{unit}]"}},
             "zaxis": {"title": {"text": f"up [{unit}]"}},
-            "camera": {"eye": {"x": 1.1, "y": -1.4, "z": 1.0}, "center": {"x": 0.0, "y": 0.0, "z": -0.1}},
+            "camera": {"eye": {"x": 1.0, "y": -1.5, "z": 1.35}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}},
         }
     }
     layout2 = {

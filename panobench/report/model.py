@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.geometry import Sim3
 from panobench.types import Trajectory
 
 Array = NDArray[np.float64]
@@ -63,7 +64,8 @@ class Errors:
     """An aligned trajectory (N poses) and its error per pose against ground truth.
 
     times (N,) s; positions (N, 3) in the ground truth's world and unit; translation (N,) in that unit;
-    rotation (N,) degrees. ``alignment`` is "Sim(3)" or "SE(3)".
+    rotation (N,) degrees. transform: from the estimate's world to the ground truth's. alignment: "Sim(3)",
+    "SE(3)" or "none".
     """
 
     times: Array
@@ -71,7 +73,7 @@ class Errors:
     translation: Array
     rotation: Array
     alignment: str
-    scale: float
+    transform: Sim3
 
     @property
     def rmse(self) -> float:
@@ -81,7 +83,10 @@ class Errors:
 
 @dataclass(frozen=True)
 class Run:
-    """One run folder, read. ``numbers`` joins metrics and timing of run.json (None: not measured)."""
+    """One run folder, read. ``numbers`` joins metrics and timing of run.json (None: not measured).
+
+    true_depth: the method was given the dataset's own depth, so its accuracy is an upper bound.
+    """
 
     folder: Path
     identifier: str
@@ -104,6 +109,8 @@ class Run:
     depth: DepthPictures | None = None
     log_tail: str = ""
     command: str = ""
+    protocol: str = ""
+    true_depth: bool = False
     warnings: tuple[str, ...] = ()
 
     @property

@@ -51,6 +51,17 @@ class Gallery:
         return digest
 
 
+def copy_map(run: Run, gallery: Gallery, number: int) -> str | None:
+    """Copy the run's map.ply to the assets; the link to it, None without assets or map."""
+    source = run.folder / "map.ply"
+    if gallery.assets is None or not source.is_file():
+        return None
+    gallery.assets.mkdir(parents=True, exist_ok=True)
+    target = gallery.assets / f"map-{number}.ply"
+    shutil.copyfile(source, target)
+    return f"{gallery.assets.name}/{target.name}"
+
+
 def make_gallery(collection: Collection, assets: Path | None = None) -> Gallery:
     """A gallery whose plan (frames, width, quality) fits this collection into the budget."""
     sets = [[path for pair in run.pairs for path in (pair.render, pair.truth) if path] for run in collection.runs]
@@ -118,10 +129,10 @@ def depth_pictures(run: Run, gallery: Gallery) -> dict[str, str] | None:
 
 
 def novel_pictures(run: Run, gallery: Gallery) -> list[tuple[str, str | None, int]]:
-    """(render key, truth key, number) of views off the trajectory, at most half as many as frames are shown."""
+    """(render key, truth key, number) of views off the trajectory, at most four."""
     pairs = [pair for pair in run.pairs if pair.novel]
     out = []
-    for i in spread(len(pairs), max(1, gallery.plan.frames // 2)):
+    for i in spread(len(pairs), min(4, max(1, gallery.plan.frames // 2))):
         render = gallery.add(pairs[i].render)
         if render is not None:
             out.append((render, gallery.add(pairs[i].truth), pairs[i].frame))

@@ -26,7 +26,10 @@ class Variant:
 
 
 def variants(collection: Collection) -> dict[Variant, list[Run]]:
-    """Runs grouped into variants. An option counts only where it differs between runs on one sequence."""
+    """Runs grouped into variants. An option counts only where it differs between runs on one sequence.
+
+    Settings of a method count between runs of that method, what it was given (camera, width, frames) between all.
+    """
     differing = _differing(collection)
     grouped: dict[Variant, list[Run]] = defaultdict(list)
     for run in collection.runs:
@@ -41,6 +44,10 @@ def variant_of(run: Run, differing: Iterable[str]) -> Variant:
     return Variant(run.method, parts, run.origin)
 
 
+#: Options that decide what a method is given: where they differ, even between methods, labels say so.
+INPUT_KEYS = frozenset({"camera", "fov", "width", "every", "max_frames"})
+
+
 def _differing(collection: Collection) -> set[str]:
     found: set[str] = set()
     for place in collection.places():
@@ -49,8 +56,7 @@ def _differing(collection: Collection) -> set[str]:
             by_method: dict[str, set[str]] = defaultdict(set)
             for run in runs:
                 by_method[run.method].add(run.variant.get(key, ""))
-            if any(len(values) > 1 for values in by_method.values()):
+            given = {value for values in by_method.values() for value in values} - {""}
+            if any(len(v) > 1 for v in by_method.values()) or (key in INPUT_KEYS and len(given) > 1):
                 found.add(key)
-    if len({r.variant.get("camera") for r in collection.runs}) > 1:
-        found.add("camera")
     return found

@@ -37,11 +37,22 @@ def test_errors_vanish_for_a_similar_trajectory_and_scale_is_kept_when_metric(ma
     assert free is not None
     assert free.rmse < 1e-9
     assert free.rotation.max() < 1e-5
-    assert free.scale == pytest.approx(0.4)
-    fixed = trajectory_errors(similar, truth, with_scale=False)
+    assert free.transform.scale == pytest.approx(0.4)
+    fixed = trajectory_errors(similar, truth, alignment="SE(3)")
     assert fixed is not None
     assert fixed.alignment == "SE(3)"
     assert fixed.rmse > 0.5
+    raw = trajectory_errors(truth, truth, alignment="none")
+    assert raw is not None
+    assert raw.rmse == 0.0
+
+
+def test_plots_use_the_alignment_the_run_was_scored_with(make_run, edit):
+    folder = make_run("r")
+    edit(folder, lambda d: d.update(metric=True))
+    assert read_run(folder).errors.alignment == "SE(3)"
+    edit(folder, lambda d: d.update(protocol="1.0+align=none"))
+    assert read_run(folder).errors.alignment == "none"
 
 
 def test_times_are_matched_within_the_tolerance_only():
@@ -66,9 +77,10 @@ def test_stores_are_searched_and_unreadable_runs_are_reported(make_run):
     (old / "run.json").write_text('{"schema": 0, "status": "ok"}')
     (store / ".part").mkdir()
     (store / ".part" / "run.json").write_text("{}")
+    (store / "_quarantine" / "bad-20260101").mkdir(parents=True)
     found = collect([store, store / "good"])
     assert [r.folder.name for r in found.runs] == ["good"]
-    assert {p.folder.name for p in found.problems} == {"broken", "old"}
+    assert {p.folder.name for p in found.problems} == {"broken", "old", "bad-20260101"}
     assert any("run.json:2" in p.message for p in found.problems)
 
 

@@ -107,7 +107,7 @@ def test_single_run_lists_its_measurements_and_says_why_one_is_missing(make_run,
     text = page([folder], tmp_path)
     assert "n/a: no AlexNet weights" in text
     assert "panobench run --method panogs" in text
-    assert "21 034 Gaussians" in text
+    assert "21\u202f034 Gaussians" in text
 
 
 def test_equal_pictures_are_stored_once(make_run, tmp_path):

@@ -12,8 +12,9 @@ from panobench.report.collect import collect
 from panobench.report.exports import FORMATS, csv_text, latex_text
 from panobench.report.model import Collection
 from panobench.report.published import Published, load_published
-from panobench.report.ranking import failure, ranks, summarise
-from panobench.report.tables import build_tables, format_number, length_text
+from panobench.report.ranking import failure, ranks
+from panobench.report.table_model import format_number, length_text
+from panobench.report.tables import build_tables
 from panobench.report.variants import variants
 
 PUBLISHED = Published(
@@ -51,8 +52,8 @@ def test_accuracy_table_ranks_medians_and_shows_coverage_and_failures(suite):
     assert sparse["room2"].coverage == pytest.approx(0.6)
     assert imported["room2"].about == "crashed"
     assert panogs["succeeded"].text == "2/2"
-    assert sparse["mean"].text == "–"
-    assert panogs["mean"].value == pytest.approx((1e3 * 0.001 + 1e3 * 0.002) / 2 * math.sqrt(3))
+    assert panogs["mean"].value == panogs["room1"].value  # only room1 is common to all
+    assert panogs["mean"].rank == 1
 
 
 def test_low_coverage_and_large_errors_fail_whatever_the_status_says(make_run):
@@ -61,17 +62,31 @@ def test_low_coverage_and_large_errors_fail_whatever_the_status_says(make_run):
     assert reasons == {"low": "tracked 85%", "far": "ATE over 3 m", "fine": None}
 
 
-def test_failed_repeats_count_as_worst():
-    one = summarise([1.0, 2.0, None], 1)
-    assert one is not None
-    assert one.median == 2.0
-    two = summarise([1.0, None, None], 2)
-    assert two is not None
-    assert not two.ok
-    assert summarise([], 0) is None
-    best = summarise([30.0, None, None], 2, higher_is_better=True)
-    assert best is not None
-    assert not best.ok
+def test_failed_repeats_count_as_worst(make_run):
+    make_run("a", noise=0.001)
+    make_run("b", seed=1, noise=0.003)
+    make_run("c", seed=2, status="crashed")
+    folder = make_run("d", method="other", noise=0.002).parent
+    make_run("e", method="other", seed=1, status="timeout")
+    rows = by_label(table(collect([folder]), "ate-rooms"))
+    assert rows["panogs"]["room1"].value == pytest.approx(3 * math.sqrt(3))
+    assert rows["panogs"]["room1"].about == "1 of 3 repeats failed"
+    assert rows["other"]["room1"].failed
+
+
+def test_another_protocol_has_judged_by_its_own_limits(make_run, edit):
+    folder = make_run("a", tracked=0.6)
+    assert failure(collect([folder]).runs[0]) == "tracked 60%"
+    edit(folder, lambda d: d.update(protocol="1.0+min_tracked=0.5"))
+    assert failure(collect([folder]).runs[0]) is None
+
+
+def test_runs_with_true_depth_are_flagged(make_run, edit):
+    folder = make_run("a")
+    edit(folder, lambda d: d["depth"].update(oracle=True))
+    found = table(collect([folder, make_run("b", method="other")]), "ate-rooms")
+    assert {row.cells[0].text: row.flags for row in found.rows} == {"panogs": ("true depth",), "other": ()}
+    assert "(true depth)" in FORMATS["markdown"]([found])
 
 
 def test_equal_printed_values_share_a_rank():
@@ -91,6 +106,30 @@ def test_published_rows_stand_apart_and_are_never_ranked(suite):
     assert rows["panogs"]["room1"].rank == 1
     assert any("A paper" in note for note in found.notes)
     assert any("modelled after" in note for note in found.notes)
+
+
+def test_means_are_geometric_over_the_sequences_all_succeed_on(make_run):
+    make_run("a", noise=0.001)
+    make_run("b", noise=0.004, sequence="room2")
+    make_run("c", noise=0.001, method="other")
+    folder = make_run("d", noise=0.009, sequence="room2", method="other").parent
+    rows = by_label(table(collect([folder]), "ate-rooms", PUBLISHED))
+    assert rows["panogs"]["mean"].value == pytest.approx(2 * math.sqrt(3))
+    assert rows["other"]["mean"].value == pytest.approx(3 * math.sqrt(3))
+    assert rows["PanoGS-SLAM"]["mean"].value == pytest.approx(math.sqrt(5 * 18))
+    assert rows["ORB-SLAM3"]["mean"].text == "–"
+
+
+def test_a_method_not_run_everywhere_is_listed_last_and_rules_nothing(make_run):
+    make_run("a", noise=0.004)
+    make_run("b", noise=0.004, sequence="room2")
+    folder = make_run("c", noise=0.001, method="partial").parent
+    rows = by_label(table(collect([folder]), "ate-rooms"))
+    assert list(rows) == ["panogs", "partial"]
+    assert rows["partial"]["succeeded"].text == "1/1"
+    assert rows["partial"]["mean"].value is None
+    assert rows["panogs"]["mean"].value == pytest.approx(4 * math.sqrt(3))
+    assert rows["partial"]["room1"].rank == 1
 
 
 def test_published_rows_need_the_same_sequences(make_run):
@@ -120,7 +159,7 @@ def test_empty_columns_are_left_out(suite):
 
 
 def test_numbers_print_with_fixed_digits():
-    assert format_number(1234.567, 1) == "1 234.6"
+    assert format_number(1234.567, 1) == "1\u202f234.6"
     assert [length_text(v, "mm") for v in (0.8123, 12.34, 123.4)] == ["0.81", "12.3", "123"]
     assert length_text(1.8271, "m") == "1.827"
 

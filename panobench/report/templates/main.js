@@ -45,7 +45,11 @@ PB.extras = {
       });
     });
     let closed = [];
-    addEventListener("beforeprint", () => { closed = PB.all("details:not([open])"); closed.forEach(d => { d.open = true; }); });
+    addEventListener("beforeprint", () => { 
+      const many = PB.all(".run").length > 4;
+      closed = PB.all("details:not([open])").filter(d => !(many && d.matches(".inner")));
+      closed.forEach(d => { d.open = true; });
+    });
     addEventListener("afterprint", () => closed.forEach(d => { d.open = false; }));
   },
 };

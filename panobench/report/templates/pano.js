@@ -99,7 +99,7 @@ PB.pano = (() => {
       canvas.hidden = !looking;
       wipe.hidden = !compare;
       if (!state.ready) return;
-      if (looking && context()) {
+      if (looking && stage.clientWidth && stage.clientHeight && context()) {
         const ratio = Math.min(devicePixelRatio || 1, 2);
         canvas.width = Math.round(stage.clientWidth * ratio);
         canvas.height = Math.round(stage.clientHeight * ratio);
@@ -113,6 +113,7 @@ PB.pano = (() => {
       if (!gl) { views.hidden = true; return; }
       PB.all("canvas", views).forEach(c => gl.draw(images.truth, images.render, c, {
         yaw: Number(c.dataset.yaw) * Math.PI / 180, pitch: 0, spread: 2 * Math.PI / 3, divide: 0, mode: c.dataset.kind }));
+      figure.dataset.painted = "yes";
     }
     async function load() {
       const run = data.runs[state.run], frame = data.frames[state.frame];

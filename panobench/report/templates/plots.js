@@ -1,4 +1,5 @@
 PB.plots = (() => {
+  const PRINT = { width: 318, height: 240, autosize: false }; // half the width of an A4 page
   let loading = null;
   const drawn = new Set();
   const hiddenRuns = new Map();
@@ -16,7 +17,7 @@ PB.plots = (() => {
 
   function axisStyle(axis) {
     const line = PB.css("--line");
-    return { gridcolor: line, zerolinecolor: line, linecolor: line, automargin: true, ...axis,
+    return { gridcolor: line, zerolinecolor: line, linecolor: line, automargin: true, exponentformat: "power", minexponent: 5, separatethousands: true, ...axis,
       title: { ...(axis || {}).title, font: { size: 12, color: PB.css("--muted") }, standoff: 8 } };
   }
   function sceneAxis(axis) {
@@ -32,12 +33,12 @@ PB.plots = (() => {
   function styled(div, figure) {
     const hidden = hiddenRuns.get(div.closest("[data-place]")) || new Set();
     const data = figure.data.map(trace => {
-      const colour = PB.colour(trace.meta.colour), truth = trace.meta.colour < 0;
+      const colour = PB.colour(trace.meta.colour), truth = trace.meta.colour === -1;
       const copy = { ...trace, name: PB.plain(trace.name), visible: !hidden.has(trace.meta.run) };
       if (trace.text) copy.text = trace.text.map(PB.plain);
       if (trace.type === "bar") copy.y = trace.y.map(PB.plain);
       if (trace.line) copy.line = { ...trace.line, color: colour, dash: truth ? "dot" : dashOf(trace, figure) };
-      if (trace.marker || trace.type === "bar") copy.marker = { ...trace.marker, color: colour };
+      if ((trace.marker && trace.meta.run !== -3) || trace.type === "bar") copy.marker = { ...trace.marker, color: colour };
       return copy;
     });
     const layout = {
@@ -53,6 +54,9 @@ PB.plots = (() => {
       const s = figure.layout.scene;
       layout.scene = { ...s, xaxis: sceneAxis(s.xaxis), yaxis: sceneAxis(s.yaxis), zaxis: sceneAxis(s.zaxis) };
       layout.margin = { l: 0, r: 0, t: 0, b: 0 };
+      const far = div.clientWidth < 500 ? 1.3 : 1; // narrow screens need more distance
+      const eye = s.camera.eye;
+      layout.scene.camera = { ...s.camera, eye: { x: far * eye.x, y: far * eye.y, z: far * eye.z } };
       if (div._fullLayout && div._fullLayout.scene) layout.scene.camera = div._fullLayout.scene.camera;
     } else {
       layout.xaxis = axisStyle(figure.layout.xaxis);
@@ -61,10 +65,11 @@ PB.plots = (() => {
     }
     return { data, layout };
   }
-  async function draw(div) {
+  async function draw(div, size) {
     if (!window.Plotly) await library();
     const { data, layout } = styled(div, PB.data.figures[div.dataset.figure]);
     const spatial = Boolean(layout.scene);
+    Object.assign(layout, size || { autosize: true });
     drawn.add(div);
     await Plotly.react(div, data, layout, { displaylogo: false, responsive: true, scrollZoom: false,
       displayModeBar: spatial ? "hover" : false,
@@ -100,9 +105,13 @@ PB.plots = (() => {
     addEventListener("beforeprint", () => {
       closed = PB.all(".place.off");
       closed.forEach(place => place.classList.remove("off"));
-      if (window.Plotly) PB.all(".plot").forEach(div => { if (!drawn.has(div) && !div.closest(".spatial")) draw(div); });
+      const flat = PB.all(".plot").filter(div => !div.closest(".spatial"));
+      if (window.Plotly) flat.forEach(div => draw(div, PRINT));
     });
-    addEventListener("afterprint", () => closed.forEach(place => place.classList.add("off")));
+    addEventListener("afterprint", () => {
+      closed.forEach(place => place.classList.add("off"));
+      drawn.forEach(div => draw(div));
+    });
     if (PB.all(".plot").length) (window.requestIdleCallback || setTimeout)(library);
   }
   return { start, draw, drawn };

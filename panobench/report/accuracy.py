@@ -1,0 +1,133 @@
+"""The table papers print first: methods by sequences, ATE RMSE in every cell, coverage beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from panobench.bench.statistics import Ranked, rank, summarise
+from panobench.report.model import Run
+from panobench.report.published import Published, published_block
+from panobench.report.ranking import failure
+from panobench.report.table_model import (
+    FAILED,
+    NOT_AVAILABLE,
+    NOT_RUN,
+    Cell,
+    Column,
+    Row,
+    Table,
+    length_text,
+    length_unit,
+    mark_ranks,
+    natural,
+    spread_text,
+)
+from panobench.report.variants import Variant
+
+
+def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published: Published | None = None) -> Table:
+    """Methods by sequences of one dataset: ATE RMSE with coverage, sequences succeeded, and the mean."""
+    here = {v: [r for r in runs if r.dataset == dataset] for v, runs in grouped.items()}
+    here = {v: runs for v, runs in here.items() if runs}
+    sequences = sorted({r.sequence for runs in here.values() for r in runs}, key=natural)
+    unit, scale = length_unit(
+        [a for runs in here.values() for r in runs if not failure(r) and (a := r.number("ate_rmse_m")) is not None]
+    )
+    cells = {
+        v: [ate_cell([r for r in runs if r.sequence == s], unit, scale) for s in sequences] for v, runs in here.items()
+    }
+    everywhere = [v for v, row in cells.items() if all(c.text != NOT_RUN for c in row)] or list(cells)
+    common = common_sequences([cells[v] for v in everywhere])
+    columns = [Column("method", "Method", numeric=False)] + [Column(s, s, unit, "lower") for s in sequences]
+    if len(sequences) > 1:
+        columns.append(Column("succeeded", "Succeeded", "", "higher"))
+        columns.append(Column("mean", "Mean", unit, "lower", about="geometric mean, see the ranking rule"))
+    order = rank({str(i): [c.value for c in cells[v]] for i, v in enumerate(everywhere)})
+    rows = [_row(everywhere[int(p.name)], p, cells, here, unit) for p in order]
+    rows += [_row(v, None, cells, here, unit) for v in cells if v not in everywhere]
+    rows = mark_ranks(columns, rows)
+    extra, notes = published_block(published, dataset, sequences, unit, scale) if published else ([], ())
+    rows += [_published_row(label, values, unit, common) for label, values in extra]
+    caption = f"ATE RMSE in {unit} after alignment; below each, the share of frames tracked. Lower is better."
+    if any(cell.repeats > 1 for row in rows for cell in row.cells):
+        caption += (
+            " Cells with repeats show the median of n runs, with the interquartile range (IQR)"
+            " and the bootstrap 95% interval of the median."
+        )
+    if len(common) < len(sequences):
+        names = ", ".join(sequences[j] for j in common) or "no sequence"
+        notes = (
+            *notes,
+            f"The mean is over {names}: where all methods succeed that were run everywhere and succeed somewhere.",
+        )
+    if any(p.differs for p in order):
+        notes = (*notes, "† differs significantly from the first method (see the ranking rule).")
+    return Table(f"ate-{dataset}", f"Trajectory accuracy, {dataset}", caption, tuple(columns), tuple(rows), notes)
+
+
+def ate_cell(runs: Sequence[Run], unit: str, scale: float) -> Cell:
+    """Repeats of one variant on one sequence as one cell; ``scale`` takes metres to ``unit``."""
+    if not runs:
+        return Cell(NOT_RUN, about="not run")
+    reasons = [reason for r in runs if (reason := failure(r))]
+    covered = [t for r in runs if (t := r.number("tracked")) is not None]
+    coverage = min(covered) if covered else None
+    values: list[float | None] = [None] * len(reasons)
+    values += [a * scale for r in runs if not failure(r) and (a := r.number("ate_rmse_m")) is not None]
+    summary = summarise(values)
+    if summary is None:
+        return Cell(NOT_AVAILABLE, coverage=coverage, about="no ground truth to compare with")
+    if not math.isfinite(summary.median):
+        return Cell(FAILED, coverage=coverage, failed=True, about=", ".join(sorted(set(reasons))), repeats=len(runs))
+    spread = spread_text(summary, lambda v: length_text(v, unit))
+    about = f"{len(reasons)} of {len(runs)} repeats failed" if reasons else ""
+    text = length_text(summary.median, unit)
+    return Cell(text, summary.median, coverage, spread=spread, about=about, repeats=len(runs))
+
+
+def common_sequences(rows: Sequence[Sequence[Cell]]) -> list[int]:
+    """Indices of the sequences on which every method has a value that has one anywhere."""
+    alive = [row for row in rows if any(c.value is not None for c in row)]
+    return [j for j in range(len(rows[0]) if rows else 0) if all(row[j].value is not None for row in alive)]
+
+
+def flags(runs: Sequence[Run]) -> tuple[str, ...]:
+    """What a reader must know about a row before comparing it."""
+    return ("true depth",) if any(run.true_depth for run in runs) else ()
+
+
+def _row(
+    variant: Variant,
+    place: Ranked | None,
+    cells: Mapping[Variant, list[Cell]],
+    runs: Mapping[Variant, list[Run]],
+    unit: str,
+) -> Row:
+    """A method's row; ``place`` is its rank, None when it was not run on every sequence.
+
+    A dagger marks a significant difference from the best.
+    """
+    mine = cells[variant]
+    done, tried = sum(c.value is not None for c in mine), sum(c.text != NOT_RUN for c in mine)
+    row = [Cell(f"{variant.label} †" if place and place.differs else variant.label), *mine]
+    if len(mine) > 1:
+        mean = place.mean if place else None
+        row.append(Cell(f"{done}/{tried}", float(done)))
+        row.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
+    facets = {"method": variant.method, "status": "ok" if done == tried else "failed"}
+    return Row(tuple(row), variant.origin, facets, flags=flags(runs[variant]))
+
+
+def _published_row(label: str, values: Sequence[float | None], unit: str, common: Sequence[int]) -> Row:
+    cells = [Cell(label)]
+    for value in values:
+        failed = Cell(FAILED, failed=True, about="failure in the source")
+        cells.append(failed if value is None else Cell(length_text(value, unit), value))
+    if len(values) > 1:
+        done = sum(v is not None for v in values)
+        cells.append(Cell(f"{done}/{len(values)}", float(done)))
+        shared = [v for j in common if (v := values[j]) is not None]
+        mean = math.exp(sum(map(math.log, shared)) / len(shared)) if shared and len(shared) == len(common) else None
+        cells.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
+    return Row(tuple(cells), "published", {"method": label, "status": "published"})

@@ -1,0 +1,119 @@
+"""What stands on top of a report: its title, key figures and facts; and the measurements of a single run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from panobench import __version__
+from panobench.report.model import Collection, Run
+from panobench.report.ranking import failure
+from panobench.report.table_model import length_text
+from panobench.report.tables import ACCURACY, COST, RENDERING, Quantity
+from panobench.report.variants import Variant
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A key figure on top of the page."""
+
+    name: str
+    value: str
+    unit: str = ""
+    note: str = ""
+
+
+def default_title(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> str:
+    """ "panogs on room1" for one run, else counts."""
+    places = collection.places()
+    if len(grouped) == 1 and len(places) == 1:
+        return f"{next(iter(grouped)).label} on {places[0][1]}"
+    methods = f"{len(grouped)} methods" if len(grouped) > 1 else next(iter(grouped)).label
+    return f"{methods} on {places[0][1] if len(places) == 1 else f'{len(places)} sequences'}"
+
+
+def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> list[Tile]:
+    """Key figures: of the run when there is one, of the comparison otherwise."""
+    if len(collection.runs) == 1:
+        return _run_tiles(collection.runs[0])
+    failed = sum(failure(r) is not None for r in collection.runs)
+    out = [Tile("Runs", str(len(collection.runs)), note=f"{failed} failed" if failed else "all succeeded")]
+    good = [(r, v.label) for v, runs in grouped.items() for r in runs if not failure(r)]
+    for name, key, best, text, unit in (
+        ("Lowest ATE", "ate_rmse_m", min, lambda v: length_text(v * 1e3, "mm"), "mm"),
+        ("Highest panorama PSNR", "pano_psnr_db", max, lambda v: f"{v:.2f}", "dB"),
+        ("Fastest", "fps", max, lambda v: f"{v:.2f}", "frames/s"),
+    ):
+        scored = [(value, r, label) for r, label in good if (value := r.number(key)) is not None]
+        if scored:
+            value, run, label = best(scored, key=lambda s: s[0])
+            out.append(Tile(name, text(value), unit, f"{label}, {run.sequence}"))
+    return out
+
+
+def _run_tiles(run: Run) -> list[Tile]:
+    out: list[Tile] = []
+    reason, ate, tracked = failure(run), run.number("ate_rmse_m"), run.number("tracked")
+    if reason:
+        out.append(Tile("Result", "failed", note=reason))
+    if ate is not None:
+        kind = run.errors.alignment if run.errors else "RMSE"
+        share = run.number("ate_percent")
+        note = f"{kind}, {share:.2f}% of the path" if share is not None else kind
+        out.append(Tile("ATE RMSE", length_text(ate * 1e3, "mm"), "mm", note))
+    if tracked is not None:
+        frames = len(run.frames.get("index", run.frames.get("frame", ())))
+        out.append(Tile("Tracked", f"{100 * tracked:.0f}", "%", f"of {frames} frames" if frames else "of the frames"))
+    psnr, held = run.number("pano_psnr_db"), run.number("holdout_psnr_db")
+    if psnr is not None:
+        note = f"held-out frames {held:.2f} dB" if held is not None else "frames that were mapped"
+        out.append(Tile("Panorama PSNR", f"{psnr:.2f}", "dB", note))
+    fps, tracking = run.number("fps"), run.number("tracking_fps")
+    if fps is not None:
+        note = f"tracking alone {tracking:.1f}" if tracking is not None else "whole system"
+        out.append(Tile("Speed", f"{fps:.2f}", "frames/s", note))
+    return out
+
+
+def measurements(run: Run) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Everything measured of one run as (heading, (name, value with unit) pairs); says why where it is n/a."""
+    notes = run.document.get("notes")
+    notes = notes if isinstance(notes, Mapping) else {}
+    ate = Quantity("ate_rmse_m", "ATE", "mm", "lower", scale=1e3)
+    out = []
+    for heading, quantities in (("Accuracy", (ate, *ACCURACY)), ("Rendering", RENDERING), ("Cost", COST)):
+        pairs = []
+        for quantity in quantities:
+            value = run.number(quantity.key)
+            note = notes.get(quantity.key)
+            if value is not None:
+                pairs.append((quantity.label, f"{quantity.text(value)} {quantity.unit}".strip()))
+            elif note:
+                pairs.append((quantity.label, f"n/a: {str(note).removeprefix('n/a: ')}"))
+        if pairs:
+            out.append((heading, pairs))
+    return out
+
+
+def facts(collection: Collection, now: datetime) -> list[tuple[str, str]]:
+    protocols = {str(v) for r in collection.runs if (v := find(r.document, "protocol", "protocol_version"))}
+    facts = [("Made", now.strftime("%Y-%m-%d %H:%M UTC")), ("panobench", __version__)]
+    if protocols:
+        facts.append(("Protocol", ", ".join(sorted(protocols))))
+    machines = {str(v) for r in collection.runs if (v := find(r.document, "cpu"))}
+    if machines:
+        facts.append(("Machine", ", ".join(sorted(machines)[:2]) + (" and others" if len(machines) > 2 else "")))
+    return facts
+
+
+def find(document: Mapping[str, Any], *keys: str) -> Any:
+    origin = document.get("provenance")
+    machine = origin.get("machine") if isinstance(origin, Mapping) else None
+    for source in (document, origin, machine):
+        if isinstance(source, Mapping):
+            for key in keys:
+                if source.get(key):
+                    return source[key]
+    return None

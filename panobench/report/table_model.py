@@ -1,0 +1,133 @@
+"""What a table is, independent of what it shows and of the format it is written in; and how numbers print."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from panobench.bench.statistics import Summary
+from panobench.report.model import Origin
+from panobench.report.ranking import ranks
+
+FAILED = "/"
+NOT_AVAILABLE = "n/a"
+NOT_RUN = "–"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: ``key`` for machines, ``label`` and ``unit`` for people, ``better`` "lower", "higher" or "none"."""
+
+    key: str
+    label: str
+    unit: str = ""
+    better: str = "none"
+    numeric: bool = True
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What is printed (``text``), what is sorted by (``value``), and what stands beside it.
+
+    coverage: share of frames tracked, 0..1. rank: 1 best, 2 second. spread: repeats, quartiles and interval in
+    words, separated by "; ".
+    """
+
+    text: str
+    value: float | None = None
+    coverage: float | None = None
+    failed: bool = False
+    rank: int | None = None
+    spread: str = ""
+    about: str = ""
+    repeats: int = 1
+
+
+@dataclass(frozen=True)
+class Row:
+    """Cells in column order. facets: what filters look at. target: an anchor to link to. flags: warnings in a word."""
+
+    cells: tuple[Cell, ...]
+    origin: Origin = "measured"
+    facets: dict[str, str] = field(default_factory=dict)
+    target: str = ""
+    flags: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with a name for files, a title, a caption, and notes printed below it."""
+
+    name: str
+    title: str
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()
+
+
+def format_number(value: float, digits: int) -> str:
+    """Fixed digits, thousands separated by a thin space, infinities as the failure sign."""
+    if not math.isfinite(value):
+        return FAILED
+    return f"{value:,.{digits}f}".replace(",", "\u202f")
+
+
+def length_unit(values: Sequence[float]) -> tuple[str, float]:
+    """("mm", 1000) when a typical value is under 10 cm, else ("m", 1)."""
+    ordered = sorted(v for v in values if math.isfinite(v))
+    return ("mm", 1e3) if not ordered or ordered[len(ordered) // 2] < 0.1 else ("m", 1.0)
+
+
+def length_text(value: float, unit: str) -> str:
+    """A length already in ``unit``: three significant digits in mm, three decimals in m."""
+    if unit == "m":
+        return format_number(value, 3)
+    return format_number(value, 2 if abs(value) < 10 else 1 if abs(value) < 100 else 0)
+
+
+def spread_text(summary: Summary, text: Callable[[float], str]) -> str:
+    """Count, quartiles and 95% interval of repeats in words, empty for a single run."""
+    if summary.count < 2:
+        return ""
+    words = f"n = {summary.count}; IQR {text(summary.low)}–{text(summary.high)}"
+    if summary.interval is not None:
+        words += f"; 95% {text(summary.interval[0])}–{text(summary.interval[1])}"
+    return words
+
+
+def mark_ranks(columns: Sequence[Column], rows: list[Row]) -> list[Row]:
+    """The same rows with best and second best marked per column; published and failed cells do not compete."""
+    for j, column in enumerate(columns):
+        if column.key == "succeeded":
+            continue
+        competing = [row.origin != "published" and not row.cells[j].failed for row in rows]
+        marks = ranks(
+            [row.cells[j].text if ok else None for row, ok in zip(rows, competing)],
+            [row.cells[j].value if ok else None for row, ok in zip(rows, competing)],
+            column.better,
+        )
+        rows = [
+            replace(row, cells=(*row.cells[:j], replace(row.cells[j], rank=mark), *row.cells[j + 1 :]))
+            for row, mark in zip(rows, marks)
+        ]
+    return rows
+
+
+def drop_empty_columns(table: Table) -> Table:
+    """Without the numeric columns in which no row has a value or a failure."""
+    keep = [
+        j
+        for j, column in enumerate(table.columns)
+        if not column.numeric or any(r.cells[j].value is not None or r.cells[j].failed for r in table.rows)
+    ]
+    rows = tuple(replace(r, cells=tuple(r.cells[j] for j in keep)) for r in table.rows)
+    return replace(table, columns=tuple(table.columns[j] for j in keep), rows=rows)
+
+
+def natural(text: str) -> list[tuple[int, int, str]]:
+    """Sort key that puts room2 before room10."""
+    return [(0, int(w), "") if w.isdigit() else (1, 0, w) for w in re.findall(r"\d+|\D+", text)]

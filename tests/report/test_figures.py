@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from panobench.geometry import Sim3, so3_exp
+from panobench.report import figures
+from panobench.report.collect import collect, read_run
+from panobench.report.html import build_html
+from panobench.report.mapview import MOST, map_trace
+from panobench.report.variants import variants
+from panobench.splat.ply import write_ply
+
+
+def write_map(folder, n=200, opacity=4.0):
+    """A box of n Gaussians around the loop of the fake runs, in the estimate's world; y is down."""
+    rng = np.random.default_rng(0)
+    means = rng.uniform(-2, 2, (n, 3))
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    colours = np.tile([1.0, 0.5, 0.0], (n, 1))
+    write_ply(folder / "map.ply", means, np.full((n, 3), -3.0), quats, np.full(n, opacity), colours)
+    return means
+
+
+def test_the_map_stands_upright_in_the_world_of_the_plot(make_run):
+    folder = make_run("a", noise=0.0001)
+    write_map(folder)
+    run = read_run(folder)
+    turn = figures.upright([run])
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(turn @ [0, -1, 0], [0, 0, 1], atol=1e-3)  # up is -y in the fake world
+    trace = map_trace(run, turn)
+    assert trace is not None
+    assert set(trace["marker"]["color"]) == {"#ff8000"}
+    assert max(trace["z"]) < 0.6 * 2  # open towards the top
+    assert min(trace["z"]) < -1.5
+    assert trace == map_trace(run, turn)
+
+
+def test_only_maps_that_can_be_placed_are_drawn(make_run):
+    folder = make_run("a")
+    assert map_trace(read_run(folder), np.eye(3)) is None
+    write_map(folder, opacity=-4.0)
+    assert map_trace(read_run(folder), np.eye(3)) is None
+    (folder / "map.ply").write_bytes(b"ply\nwhat")
+    assert map_trace(read_run(folder), np.eye(3)) is None
+    write_map(folder, n=MOST * 4)
+    trace = map_trace(read_run(folder), np.eye(3))
+    assert trace is not None
+    assert len(trace["x"]) == MOST
+
+
+def test_trajectories_are_drawn_aligned(make_run):
+    folder = make_run("a", noise=0.0)
+    run = read_run(folder)
+    moved = Sim3(3.0, so3_exp([0.1, 0.7, -0.4]), np.array([5.0, 0.0, 1.0])).apply_poses(run.trajectory.T_wc)
+    lines = [f"{t:.9f} {' '.join(map(str, T[:3, 3]))} 0 0 0 1" for t, T in zip(run.trajectory.times, moved)]
+    (folder / "trajectory.tum").write_text("\n".join(lines))
+    _, plan = figures.trajectory_figures([read_run(folder)], ["a"], [0])
+    truth, estimate = (next(t for t in plan["data"] if t["name"] == name) for name in ("Ground truth", "a"))
+    np.testing.assert_allclose(estimate["x"], truth["x"], atol=1e-4)
+    np.testing.assert_allclose(estimate["y"], truth["y"], atol=1e-4)
+
+
+def test_without_truth_axes_do_not_claim_metres(make_run):
+    spatial, plan = figures.trajectory_figures([read_run(make_run("a", truth=False))], ["a"], [0])
+    assert "[m]" not in json.dumps([spatial["layout"], plan["layout"]])
+    assert len(plan["data"]) == 1
+
+
+def test_axes_become_logarithmic_when_methods_are_far_apart(make_run):
+    near = [read_run(make_run("a", noise=0.001)), read_run(make_run("b", noise=0.003))]
+    far = [near[0], read_run(make_run("c", noise=0.1))]
+    axis = [figures.error_figure(runs, ["x", "y"], [0, 1], "translation")["layout"]["yaxis"] for runs in (near, far)]
+    assert axis[0]["type"] == "linear"
+    assert axis[0]["title"]["text"] == "Position error [mm]"
+    assert axis[1]["type"] == "log"
+    assert 10.0 in axis[1]["tickvals"]
+
+
+def test_long_traces_are_thinned_and_gaps_kept():
+    keep = figures.thin(10_000)
+    assert len(keep) == figures.MAX_POINTS
+    assert (keep[0], keep[-1]) == (0, 9_999)
+    assert figures.numbers(np.array([1.23456789, np.nan, np.inf])) == [1.2346, None, None]
+
+
+def test_labels_say_where_methods_were_given_different_input(make_run):
+    make_run("a", spec={"width": 256})
+    folder = make_run("b", method="sparse", spec={"width": 512, "preset": "fast"}).parent
+    make_run("c", method="imported", origin="imported", spec={"width": None})
+    assert [v.label for v in variants(collect([folder]))] == ["panogs · 256 px", "sparse · 512 px", "imported"]
+
+
+@pytest.mark.parametrize("key", ["3d", "top", "ate", "rot", "latency", "loss"])
+def test_a_page_has_every_plot_of_its_data(make_run, key):
+    folder = make_run("a")
+    write_map(folder)
+    assert f'"seq0-{key}"' in build_html(collect([folder]))
