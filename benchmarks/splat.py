@@ -44,16 +44,24 @@ POSE = make_pose(so3_exp([0.05, 0.3, -0.1]), [0.2, -0.1, 0.3])
 
 @dataclass
 class Row:
-    """One measurement; milliseconds are medians, ``drawn`` counts the Gaussians in view."""
+    """One measurement; milliseconds are medians unless they say least, ``drawn`` counts the Gaussians composited."""
 
     case: str
     size: str
     gaussians: int
     drawn: int
     forward_ms: float
+    forward_least_ms: float
     backward_ms: float
+    backward_least_ms: float
     oracle_forward_ms: float | None = None
     oracle_backward_ms: float | None = None
+
+    def __str__(self) -> str:
+        return (
+            f"{self.case:18s}{self.size:>10s}{self.gaussians:11d}{self.drawn:8d}{self.forward_ms:12.2f}"
+            f"{self.forward_least_ms:8.2f}{self.backward_ms:13.2f}{self.backward_least_ms:8.2f}"
+        )
 
 
 def room(n: int, seed: int = 0) -> GaussianMap:
@@ -81,13 +89,14 @@ def camera_of(kind: str, width: int) -> Camera:
     return ErpCamera(width, width // 2) if kind == "erp" else PinholeCamera.from_fov(width, 120.0, 60.0)
 
 
-def median_ms(run: Callable[[], Any], repeats: int, warm_up: int = 2) -> float:
+def timed_ms(run: Callable[[], Any], repeats: int, warm_up: int = 2) -> tuple[float, float]:
+    """Median and least milliseconds of one call; the least tells what a busy machine hides."""
     times = []
     for _ in range(repeats + warm_up):
         start = time.perf_counter()
         run()
         times.append(time.perf_counter() - start)
-    return 1e3 * float(np.median(times[warm_up:]))
+    return 1e3 * float(np.median(times[warm_up:])), 1e3 * min(times[warm_up:])
 
 
 def measure(case: str, n: int, width: int, repeats: int) -> Row:
@@ -96,14 +105,10 @@ def measure(case: str, n: int, width: int, repeats: int) -> Row:
     renderer = Renderer(camera, projection)
     out = renderer.forward(gaussians, POSE)
     weight = np.random.default_rng(1).normal(size=(3, camera.height, camera.width)).astype(np.float32)
-    return Row(
-        case,
-        f"{camera.width}x{camera.height}",
-        n,
-        len(out.order),
-        median_ms(lambda: renderer.forward(gaussians, POSE), repeats),
-        median_ms(lambda: renderer.backward(weight, planar=True), repeats),
-    )
+    size = f"{camera.width}x{camera.height}"
+    forward = timed_ms(lambda: renderer.forward(gaussians, POSE), repeats)
+    backward = timed_ms(lambda: renderer.backward(weight, planar=True), repeats)
+    return Row(case, size, n, len(out.order), *forward, *backward)
 
 
 def measure_with_oracle(case: str, n: int, width: int, repeats: int) -> Row:
@@ -170,7 +175,11 @@ def parse(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--threads", type=int, default=None, help="default: Numba's own")
     parser.add_argument("--oracle", type=int, nargs=2, default=[1000, 128], metavar=("N", "PX"), help="0 0: skip it")
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of the table")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    limit = int(vars(numba.config)["NUMBA_NUM_THREADS"])
+    if options.threads is not None and not 1 <= options.threads <= limit:
+        parser.error(f"--threads must be 1..{limit} here (NUMBA_NUM_THREADS bounds it)")
+    return options
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -181,12 +190,12 @@ def main(arguments: list[str] | None = None) -> None:
     about = machine()
     table = not options.json
     if table:
-        print("machine: " + ", ".join(f"{k} {v}" for k, v in about.items()))
+        print("machine: " + ", ".join(f"{k} {v}" for k, v in about.items()), flush=True)
         print("compiling kernels" if sys.stdout.isatty() else "", end="\r", flush=True)
     measure("erp-sphere", 100, 64, 1)
     if table:
         titles = f"{'camera-projection':18s}{'size':>10s}{'Gaussians':>11s}{'drawn':>8s}"
-        print(f"{titles}{'forward ms':>12s}{'backward ms':>13s}")
+        print(f"{titles}{'forward ms':>12s}{'least':>8s}{'backward ms':>13s}{'least':>8s}")
     rows = []
     for case in options.cases:
         for width in options.widths:
@@ -194,11 +203,7 @@ def main(arguments: list[str] | None = None) -> None:
                 row = measure(case, n, width, options.repeats)
                 rows.append(row)
                 if table:
-                    print(
-                        f"{row.case:18s}{row.size:>10s}{row.gaussians:11d}{row.drawn:8d}"
-                        f"{row.forward_ms:12.2f}{row.backward_ms:13.2f}",
-                        flush=True,
-                    )
+                    print(row, flush=True)
     oracle = []
     n, width = options.oracle
     for case in options.cases if n and width else []:
@@ -208,8 +213,7 @@ def main(arguments: list[str] | None = None) -> None:
         assert row.oracle_backward_ms is not None
         if table:
             print(
-                f"{row.case:18s}{row.size:>10s}{row.gaussians:11d}{row.drawn:8d}{row.forward_ms:12.2f}"
-                f"{row.backward_ms:13.2f}   torch oracle {row.oracle_forward_ms:.0f} + {row.oracle_backward_ms:.0f} ms:"
+                f"{row}   torch oracle {row.oracle_forward_ms:.0f} + {row.oracle_backward_ms:.0f} ms:"
                 f" {row.oracle_forward_ms / row.forward_ms:.0f}x and {row.oracle_backward_ms / row.backward_ms:.0f}x",
                 flush=True,
             )
