@@ -17,7 +17,7 @@ from panobench.cameras.scaramuzza import ScaramuzzaCamera
 
 #: The same examples on every machine, and no minutes spent on shrinking a failure.
 QUICK = settings(
-    max_examples=15,
+    max_examples=10,
     deadline=None,
     derandomize=True,
     database=None,
