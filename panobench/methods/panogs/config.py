@@ -28,6 +28,10 @@ class PanogsConfig:
     # Gaussians
     pixels_per_gaussian: float = 4.0
     insert_opacity: float = 0.5
+    insert_error: float = 0.12
+    sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
+    sweep_share: float = 0.01  # of the image that must be new for a sweep
+    sweep_frames: int = 8
     depth_guided: bool = True  # False: the "w/o DGIS" ablation
     flatten: float = 0.15
     scale_factor: float = 0.55
@@ -59,6 +63,7 @@ class PanogsConfig:
 #: The paper's solver, iterations and projection.
 PAPER: dict[str, Any] = {
     "projection": "erp",
+    "sweep": False,
     "solver": "adam",
     "tracking_iterations": 15,
     "mapping_iterations": 30,

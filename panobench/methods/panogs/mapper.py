@@ -43,29 +43,43 @@ class Mapper:
         self.median_depth = float(np.nanmedian(depth))
         self._seed(view, depth, equal_area_pixels(self.camera, self.count, self.rng))
 
-    def insert(self, view: View, render: RenderOutput) -> int:
-        """New Gaussians for a keyframe where the map is thin; returns how many.
+    def insert(self, view: View, render: RenderOutput, swept: F32 | None = None) -> int:
+        """New Gaussians for a keyframe where the map is thin or wrong; returns how many.
 
-        Depth comes from the rendered depth, else from the nearest pixel that has one (across the seam), plus a small
-        perturbation (DGIS); without ``depth_guided`` it is the median depth, perturbed as MonoGS does.
+        Where the opacity is low, depth is ``swept`` (H, W) from the last frames if given, else the rendered depth,
+        else that of the nearest pixel that has one (across the seam) plus a small perturbation (DGIS). Without
+        ``depth_guided`` it is the median depth, perturbed as MonoGS does.
         """
+        wanted = self.thin(render)
+        if swept is not None:
+            wanted |= self.wrong(view, render)
         pixels = equal_area_pixels(self.camera, self.count, self.rng)
         x, y = pixels[:, 0].astype(np.intp), pixels[:, 1].astype(np.intp)
-        pixels = pixels[render.opacity[np.minimum(y, self.camera.height - 1), x % self.camera.width]
-                        < self.config.insert_opacity]  # fmt: skip
+        pixels = pixels[wanted[np.minimum(y, self.camera.height - 1), x % self.camera.width]]
         if len(pixels) == 0:
             return 0
+        if swept is not None:
+            return self._seed(view, swept, pixels)
         known = render.expected_depth(0.5)
         if self.config.depth_guided:
-            depth = fill_depth(known, self.camera.kind == "erp")
+            depth, noise = fill_depth(known, self.camera.kind == "erp"), 0.02
             guessed = ~np.isfinite(known)
-            noise = 0.02
         else:
-            depth = np.full_like(known, self.median_depth)
+            depth, noise = np.full_like(known, self.median_depth), 0.15
             guessed = np.ones(known.shape, bool)
-            noise = 0.15
         depth = np.where(guessed, depth * (1 + noise * self.rng.standard_normal(depth.shape)), depth)
         return self._seed(view, depth.astype(np.float32), pixels)
+
+    def thin(self, render: RenderOutput) -> NDArray[np.bool_]:
+        """(H, W): valid pixels whose rendered opacity is below the insertion threshold."""
+        return (render.opacity < self.config.insert_opacity) & (self.weights > 0)
+
+    def wrong(self, view: View, render: RenderOutput) -> NDArray[np.bool_]:
+        """(H, W): valid pixels whose colour the map misses by more than ``insert_error``, averaged over 5x5 pixels."""
+        import cv2
+
+        error = np.abs(render.colour - view.image / np.float32(255)).mean(axis=-1)
+        return (cv2.blur(error, (5, 5)) > self.config.insert_error) & (self.weights > 0)
 
     def _seed(self, view: View, depth: F32, pixels: NDArray[np.float64]) -> int:
         c = self.config
@@ -109,7 +123,9 @@ class Mapper:
     def step(self, view: View, refine_pose: bool) -> float:
         """One render, one backward pass, one Adam step on what the view touched."""
         out = self.renderer.forward(self.map, view.T_wc)
-        loss, gradient, _ = photometric_loss(out.planes, view.image, self.weights, view.gain, view.offset, self.config.loss_knee)
+        loss, gradient, _ = photometric_loss(
+            out.planes, view.image, self.weights, view.gain, view.offset, self.config.loss_knee
+        )
         grads = self.renderer.backward(gradient, planar=True)
         isotropy = self.config.isotropy / max(3 * len(out.order), 1)
         z = self.median_depth

@@ -17,6 +17,7 @@ from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.newdepth import RecentFrames
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
 from panobench.splat.render import Renderer
@@ -54,6 +55,7 @@ class PanogsMethod(OnlineMethod):
         self.estimator = context.make_depth() if context.make_depth else None
         if self.estimator:
             self.estimator.start(camera, context.seed)
+        self.recent = RecentFrames(camera, self.config.sweep_frames)
         self.waiting: list[Frame] = []
         self.records: dict[int, _Record] = {}
         self.numbers: dict[int, dict[str, float]] = {}
@@ -102,6 +104,7 @@ class PanogsMethod(OnlineMethod):
         if hint is not None and self.tracker.T_last is not None:
             self.tracker.velocity = invert_pose(self.tracker.T_last) @ hint
         tracked = self.tracker.track(frame.image, self.mapper.map)
+        self.recent.add(self.tracker.pyramid, tracked.T_wc)
         anchor = self.mapper.window[0]
         self.records[frame.index] = _Record(frame.time, anchor, invert_pose(anchor.T_wc) @ tracked.T_wc)
         numbers = {
@@ -130,7 +133,13 @@ class PanogsMethod(OnlineMethod):
         ):  # fmt: skip
             m.frames.append(view)
             return False
-        m.insert(view, tracked.render)
+        swept = None
+        if (
+            self.config.sweep
+            and np.mean(m.thin(tracked.render) | m.wrong(view, tracked.render)) > self.config.sweep_share
+        ):
+            swept = self.recent.sweep(0.1 * m.median_depth, 15.0 * m.median_depth, m.median_depth)
+        m.insert(view, tracked.render, swept)
         m.add_keyframe(view, update_window(m.window, view, self.config.window))
         m.optimise(self.config.mapping_iterations)
         m.prune()

@@ -44,6 +44,7 @@ class Tracker:
         self.T_last: NDArray[np.float64] | None = None
         self.velocity = np.eye(4)
         self.costs: list[float] = []
+        self.pyramid: list[F32] = []
 
     def reset(self, T_wc: NDArray[np.float64], velocity: NDArray[np.float64] | None = None) -> None:
         """Restart from a known pose; ``velocity`` is T_last^-1 T_next, identity if unknown."""
@@ -61,10 +62,11 @@ class Tracker:
     def track(self, image: NDArray[np.uint8], gaussians: GaussianMap) -> Tracked:
         """Pose of ``image`` near the prediction."""
         start = self.predict()
+        self.pyramid = self.frame_pyramid(image)
         if self.config.solver == "adam":
             result = self._track_adam(image, gaussians, start)
         else:
-            result = self.align_to_map(self.frame_pyramid(image), gaussians, start)
+            result = self.align_to_map(self.pyramid, gaussians, start)
         self.costs.append(result.cost)
         self.velocity = invert_pose(self.T_last) @ result.T_wc  # type: ignore[arg-type]
         self.T_last = result.T_wc

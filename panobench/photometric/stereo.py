@@ -1,0 +1,116 @@
+"""Depth of one image from several images with known poses: sweep, semi-global paths, parabola, median, planes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.photometric.planar import depth_information, planar_filter
+from panobench.photometric.pyramid import F32
+from panobench.photometric.sweep import pick_shell, semi_global, smooth_cost, sweep_cost
+from panobench.photometric.warp import camera_code
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """shells: depths tried, equally spaced in log depth; sigma_px: aggregation; truncation: of the absolute luma
+    difference; p1, p2, edge: semi-global penalties; planar_*: see ``planar_filter``.
+    """
+
+    shells: int = 48
+    sigma_px: float = 1.0
+    truncation: float = 0.15
+    p1: float = 0.001
+    p2: float = 0.02
+    edge: float = 20.0
+    planar_radius: int = 12
+    planar_stride: int = 2
+    planar_luma: float = 0.05
+    planar_depth: float = 0.03
+    planar_floor: float = 0.01
+
+
+@dataclass(frozen=True)
+class WorkingScale:
+    """One working width: its camera, rays (H, W, 3), valid pixels, kernel parameters and pyramid level."""
+
+    camera: Camera
+    rays: F32
+    valid: NDArray[np.bool_]
+    cam: F32
+    code: int
+    level: int
+
+    @classmethod
+    def of(cls, camera: Camera, width: int) -> WorkingScale:
+        """The largest size not above ``width`` that halving reaches."""
+        level, size = 0, (camera.width, camera.height)
+        while size[0] > width and size[0] % 2 == 0 and size[1] % 2 == 0:
+            level, size = level + 1, (size[0] // 2, size[1] // 2)
+        scaled = camera.scaled(camera.width >> level) if level else camera
+        rays = np.nan_to_num(scaled.rays()).astype(np.float32)
+        code, cam = camera_code(scaled)
+        return cls(scaled, rays, scaled.valid_mask(), cam, code, level)
+
+
+def multi_view_depth(
+    luma: F32,
+    scale: WorkingScale,
+    images: F32,
+    T_fr: NDArray[np.float64],
+    near: float,
+    far: float,
+    options: SweepOptions = SweepOptions(),
+) -> tuple[F32, F32]:
+    """Radial depth and confidence (0..1), both (H, W), of the image ``luma`` (H, W; NaN: invalid).
+
+    images (F, H, W) of the same camera; T_fr (F, 4, 4): their pose from the reference camera; near, far: the range
+    swept, in the unit of the poses.
+    """
+    o, wrap = options, scale.camera.kind == "erp"
+    step = (np.log(far) - np.log(near)) / (o.shells - 1)
+    depths = np.exp(np.log(near) + step * np.arange(o.shells)).astype(np.float32)
+    T = T_fr.astype(np.float32)
+    R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
+    cost = np.empty((*scale.valid.shape, o.shells), np.float32)
+    sweep_cost(luma, scale.rays, images, R, t, depths, scale.code, scale.cam, np.float32(o.truncation), cost)
+    cost = smooth_cost(cost, o.sigma_px, wrap)
+    guide = np.nan_to_num(luma)
+    total = semi_global(cost, guide, np.float32(o.p1), np.float32(o.p2), np.float32(o.edge), wrap)
+    depth, confidence = np.empty(scale.valid.shape, np.float32), np.empty(scale.valid.shape, np.float32)
+    pick_shell(total, np.log(near), step, depth, confidence)
+    depth = _median(depth, wrap)
+    information, out = np.empty_like(depth), np.empty_like(depth)
+    depth_information(luma, depth, scale.rays, images, R, t, scale.code, scale.cam, information)
+    floor = o.planar_floor * float(np.median(information[scale.valid]))
+    weights = np.where(scale.valid, information, 0).astype(np.float32)
+    planar_filter(
+        depth, weights, guide, scale.rays, o.planar_radius, o.planar_stride, o.planar_luma, o.planar_depth,
+        floor, wrap, out,
+    )  # fmt: skip
+    return out, confidence
+
+
+def _median(depth: F32, wrap: bool) -> F32:
+    """5x5 median, across the seam of a panorama."""
+    if not wrap:
+        return np.asarray(cv2.medianBlur(depth, 5))
+    wide = np.concatenate([depth[:, -4:], depth, depth[:, :4]], axis=1)
+    return np.ascontiguousarray(cv2.medianBlur(wide, 5)[:, 4:-4])
+
+
+def resize_panorama(image: F32, shape: tuple[int, ...], wrap: bool) -> F32:
+    """Bilinear resize to (H, W) with pixel centres at k + 0.5, across the seam of a panorama."""
+    if image.shape == tuple(shape):
+        return image.astype(np.float32)
+    h, w = shape
+    f = w // image.shape[1]
+    if not wrap or w % image.shape[1]:
+        return np.asarray(cv2.resize(image, (w, h), interpolation=cv2.INTER_LINEAR))
+    wide = np.concatenate([image[:, -2:], image, image[:, :2]], axis=1)
+    big = cv2.resize(wide, (wide.shape[1] * f, h), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(big[:, 2 * f : -2 * f])
