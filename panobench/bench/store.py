@@ -71,7 +71,7 @@ def _cell_entry(document: Mapping[str, Any]) -> Mapping[str, Any]:
 
 @dataclass(frozen=True)
 class Quarantined:
-    """A run folder that was moved away because it could not be used."""
+    """A run folder that cannot be used, and where it is now."""
 
     folder: Path
     reason: str
@@ -80,15 +80,15 @@ class Quarantined:
 class Store:
     """All operations name a cell by its slug and are safe to call from several processes."""
 
-    def __init__(self, root: Path, create: bool = True) -> None:
-        """Raises StoreError when the folder cannot be made, InputError when it is no store and ``create`` is False."""
+    def __init__(self, root: Path) -> None:
+        """Touches nothing; folders are made when the first cell is locked."""
         self.root = Path(os.path.abspath(root))
-        if create:
-            with storing(self.root):
-                for name in (RUNS, LOCKS, WORK):
-                    (self.root / name).mkdir(parents=True, exist_ok=True)
-        elif not (self.root / RUNS).is_dir():
+
+    def require(self) -> Store:
+        """Raises InputError when this is no store."""
+        if not (self.root / RUNS).is_dir():
             raise InputError("not a suite's store: it has no runs/", self.root)
+        return self
 
     def folder(self, cell: Cell) -> Path:
         return self.root / RUNS / cell.slug
@@ -105,21 +105,22 @@ class Store:
             raise InputError("it belongs to another cell than its folder's name says", folder / "run.json")
         return Stored(folder, document, stamp)
 
-    def check(self, cell: Cell) -> tuple[Stored | None, Quarantined | None]:
-        """The stored result; a damaged one is moved to the quarantine and reported."""
+    def check(self, cell: Cell, move: bool = True) -> tuple[Stored | None, Quarantined | None]:
+        """The stored result; a damaged one is reported, and moved to the quarantine if ``move``."""
         try:
             return self.find(cell), None
         except InputError as error:
-            return None, self.quarantine(self.folder(cell), str(error))
+            folder, reason = self.folder(cell), str(error)
+            return None, self.quarantine(folder, reason) if move else Quarantined(folder, reason)
 
     def runs(self) -> tuple[list[Stored], list[Quarantined]]:
-        """Every result in the store; damaged ones are moved to the quarantine and reported."""
+        """Every result in the store, and the damaged ones; nothing is moved."""
         found, damaged = [], []
         for folder in sorted(p for p in (self.root / RUNS).iterdir() if p.is_dir() and not p.name.startswith(".")):
             try:
-                found.append(Stored(folder, read_run_json(folder)))
+                found.append(Stored(folder, read_run_json(folder), _stamp(folder)))
             except InputError as error:
-                damaged.append(self.quarantine(folder, str(error)))
+                damaged.append(Quarantined(folder, str(error)))
         return found, damaged
 
     def quarantine(self, folder: Path, reason: str) -> Quarantined:
@@ -143,6 +144,8 @@ class Store:
     def lock(self, cell: Cell, wait: bool = False) -> Iterator[bool]:
         """Hold the cell's lock; yields False, holding nothing, when another process has it and ``wait`` is False."""
         with storing(self.root):
+            for name in (RUNS, LOCKS, WORK):
+                (self.root / name).mkdir(parents=True, exist_ok=True)
             handle = os.open(self.root / LOCKS / cell.slug, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
             try:

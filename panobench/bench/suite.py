@@ -86,12 +86,14 @@ def parse_retry(words: Iterable[str]) -> frozenset[str]:
     return frozenset(chosen)
 
 
-def make_plan(cells: Iterable[Cell], store: Store, retry: frozenset[str] = frozenset()) -> Plan:
+def make_plan(
+    cells: Iterable[Cell], store: Store, retry: frozenset[str] = frozenset(), move_damaged: bool = True
+) -> Plan:
     """Where each cell stands. Damaged results are moved to the quarantine and their cells planned again."""
     planner, plan = Planner(), Plan([])
     for cell in cells:
         planned = planner.plan(cell)
-        stored, damaged = store.check(cell)
+        stored, damaged = store.check(cell, move_damaged)
         if damaged:
             plan.quarantined.append(damaged)
         reason = why_run(planned, stored, retry)

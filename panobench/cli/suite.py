@@ -45,9 +45,10 @@ def run(
     again = parse_retry(retry or ())
     suite = read_suite(file)
     cells = choose(suite.cells, only or ())
-    store = Store(out, create=not dry_run or not out.exists())
-    plan = make_plan(cells, store, again)
-    for note in [*suite.notes, *(f"{q.reason}; moved to {q.folder}" for q in plan.quarantined)]:
+    store = Store(out)
+    plan = make_plan(cells, store, again, move_damaged=not dry_run)
+    moved = "to be moved away" if dry_run else "moved away"
+    for note in [*suite.notes, *(f"{q.reason}; {moved}: {q.folder}" for q in plan.quarantined)]:
         typer.echo(f"panobench: warning: {note}", err=True)
     if dry_run:
         print_rows([_row(r.planned.cell.label, r.stored, r.reason) for r in plan.rows], as_json)
@@ -87,9 +88,13 @@ def status(
     """Show every result in a store, and what is in its quarantine."""
     from panobench.bench.store import Store
 
-    found, _ = (where := Store(store, create=False)).runs()
+    where = Store(store).require()
+    found, damaged = where.runs()
     rows = [_row(s.document.get("cell", {}).get("label", s.folder.name), s, "") for s in found]
-    rows += [_row(q.folder.name, None, q.reason) | {"status": "quarantined"} for q in where.quarantined()]
+    rows += [_row(d.folder.name, None, "") | {"status": "damaged", "message": d.reason} for d in damaged]
+    rows += [
+        _row(q.folder.name, None, "") | {"status": "quarantined", "message": q.reason} for q in where.quarantined()
+    ]
     print_rows(rows, as_json)
 
 
@@ -119,6 +124,6 @@ def print_rows(rows: list[dict[str, Any]], as_json: bool) -> None:
         numbers = [f"{r['tracked']:.0%}" if isinstance(r["tracked"], float) else ""]
         numbers += [f"{1e3 * r['ate_rmse_m']:.2f} mm" if isinstance(r["ate_rmse_m"], float) else ""]
         numbers += [f"{r['fps']:.1f} fps" if isinstance(r["fps"], float) else ""]
-        note = f"to do: {r['to_do']}" if r["to_do"] and r["status"] != "quarantined" else r["message"] or r["to_do"]
+        note = f"to do: {r['to_do']}" if r["to_do"] else r["message"]
         line = f"{r['cell']:{width}}  {r['status']:13} {numbers[0]:>5} {numbers[1]:>11} {numbers[2]:>10}  {note}"
         print(line.rstrip())

@@ -106,10 +106,10 @@ def test_leavings_in_the_workplace_are_swept(tmp_path: Path) -> None:
 
 def test_something_else_is_not_a_store(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a suite's store"):
-        Store(tmp_path, create=False)
+        Store(tmp_path).require()
     (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="cannot be written"):
-        Store(tmp_path / "file")
+    with pytest.raises(StoreError, match="cannot be written"), Store(tmp_path / "file").lock(CELL):
+        pass
 
 
 def test_a_full_disk_is_recognised_through_other_errors() -> None:
