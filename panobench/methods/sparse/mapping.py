@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: Observations further off than this after bundle adjustment are dropped, pixels.
 OUTLIER_PX = 3.0
+#: Keyframes outside the window that a local bundle adjustment holds on to.
+MOST_FIXED = 10
 
 
 def ray_distance(b1: Array, b2: Array, R: Array, t: Array) -> tuple[Array, Array]:
@@ -102,7 +104,7 @@ def adjust_window(m: PointMap, config: SparseConfig, focal: float, members: list
         chosen[m.keyframes[number].points] = True
     chosen &= m.state == ACTIVE
     kf_list, pt_list, b_list, at_list = [], [], [], []
-    for k in m.keyframes:
+    for k in _witnesses(m, members, chosen):
         use = np.flatnonzero(chosen[k.points])
         if len(use) == 0:
             continue
@@ -131,10 +133,19 @@ def adjust_window(m: PointMap, config: SparseConfig, focal: float, members: list
         lost = np.zeros(len(key.points), bool)
         lost[at[outlier & (kf == number)]] = True
         key.drop(lost)
-    remaining = np.bincount(pt_local[~outlier], minlength=len(ids))
-    m.state[ids[remaining < 2]] = DEAD
+    m.state[ids[m.observation_counts()[ids] < 2]] = DEAD
     inliers = result.errors[~outlier]
     return float(np.sqrt(np.mean(inliers**2))) if len(inliers) else 0.0
+
+
+def _witnesses(m: PointMap, members: list[int], chosen: NDArray[np.bool_]) -> list[Keyframe]:
+    """The members, and of the other keyframes that see the points a few spread over time: a panorama's points are
+    seen by nearly all keyframes, and a dozen hold the gauge as well as a hundred."""
+    inside = set(members)
+    others = [k for k in m.keyframes if k.number not in inside and int(chosen[k.points].sum()) >= 15]
+    if len(others) > MOST_FIXED:
+        others = [others[i] for i in np.linspace(0, len(others) - 1, MOST_FIXED).round().astype(int)]
+    return sorted([*(m.keyframes[i] for i in members), *others], key=lambda k: k.number)
 
 
 def local_window(m: PointMap, newest: int, size: int) -> list[int]:

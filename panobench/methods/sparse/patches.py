@@ -95,13 +95,13 @@ def cut_templates(
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _shift(image, template, gx, gy, inv, offset, u, v, limit):  # type: ignore[no-untyped-def]
     """Gauss-Newton for the shift of one window; returns u, v, converged-enough."""
     u0, v0 = u, v
     h, w = image.shape
     for _ in range(12):
-        if u < _HALF or v < _HALF or u > w - _HALF or v > h - _HALF:
+        if u < _HALF or v < _HALF or u > w - _HALF - 1 or v > h - _HALF - 1:
             return u, v, False
         b0, b1, b2 = 0.0, 0.0, 0.0
         # All samples share one fraction, so the bilinear weights are computed once.
@@ -110,12 +110,9 @@ def _shift(image, template, gx, gy, inv, offset, u, v, limit):  # type: ignore[n
         a, b = x - j0, y - i0
         w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
         for i in range(WINDOW):
-            r0 = min(max(i0 + i, 0), h - 1)
-            r1 = min(max(i0 + i + 1, 0), h - 1)
+            upper, lower = image[i0 + i], image[i0 + i + 1]
             for j in range(WINDOW):
-                c0 = min(max(j0 + j, 0), w - 1)
-                c1 = min(max(j0 + j + 1, 0), w - 1)
-                value = w00 * image[r0, c0] + w01 * image[r0, c1] + w10 * image[r1, c0] + w11 * image[r1, c1]
+                value = w00 * upper[j0 + j] + w01 * upper[j0 + j + 1] + w10 * lower[j0 + j] + w11 * lower[j0 + j + 1]
                 e = value - template[i, j] + offset
                 b0 += gx[i, j] * e
                 b1 += gy[i, j] * e
@@ -133,10 +130,9 @@ def _shift(image, template, gx, gy, inv, offset, u, v, limit):  # type: ignore[n
     return u, v, True
 
 
-@njit(cache=True)
-def _window(stored, A_inv, template, gx, gy, inv):  # type: ignore[no-untyped-def]
+@njit(cache=True, fastmath=True)
+def _window(stored, A_inv, template, gx, gy, inv, big):  # type: ignore[no-untyped-def]
     """Warp a stored template to the current face; gradients, inverse Hessian. False if it has no texture."""
-    big = np.empty((WINDOW + 2, WINDOW + 2))
     for i in range(WINDOW + 2):
         dv = i - _HALF - 0.5
         for j in range(WINDOW + 2):
@@ -174,13 +170,20 @@ def _window(stored, A_inv, template, gx, gy, inv):  # type: ignore[no-untyped-de
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _zncc(image, template, u, v):  # type: ignore[no-untyped-def]
+    """Normalised correlation of a template with the window around (u, v), which must lie inside the image."""
+    h, w = image.shape
+    x, y = min(u - _HALF, w - WINDOW - 1.0), min(v - _HALF, h - WINDOW - 1.0)
+    j0, i0 = int(x), int(y)
+    c, d = x - j0, y - i0
+    w00, w01, w10, w11 = (1 - c) * (1 - d), c * (1 - d), (1 - c) * d, c * d
     sa, sb, saa, sbb, sab = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(WINDOW):
+        upper, lower = image[i0 + i], image[i0 + i + 1]
         for j in range(WINDOW):
             a = template[i, j]
-            b = _bilinear(image, u + j - _HALF + 0.5, v + i - _HALF + 0.5)
+            b = w00 * upper[j0 + j] + w01 * upper[j0 + j + 1] + w10 * lower[j0 + j] + w11 * lower[j0 + j + 1]
             sa += a
             sb += b
             saa += a * a
@@ -199,6 +202,9 @@ def _align_level(  # type: ignore[no-untyped-def]
 ):
     scale = 1.0 / (1 << level)
     h, w = image.shape[1], image.shape[2]
+    A, A_inv, X, P = np.empty((2, 2)), np.empty((2, 2)), np.empty(3), np.empty((3, 2))
+    template, gx, gy = np.empty((WINDOW, WINDOW)), np.empty((WINDOW, WINDOW)), np.empty((WINDOW, WINDOW))
+    inv, big = np.empty((3, 3)), np.empty((WINDOW + 2, WINDOW + 2))
     for n in range(anchors.shape[0]):
         if not ok[n]:
             continue
@@ -215,9 +221,6 @@ def _align_level(  # type: ignore[no-untyped-def]
         ax, ay, az, cx, cy, cz = tangent_basis(mx, my, mz)
         k = which[n]
         step = (1 << level) / focal
-        A = np.empty((2, 2))
-        X = np.empty(3)
-        P = np.empty((3, 2))
         for corner in range(3):
             p = step if corner == 1 else 0.0
             q = step if corner == 2 else 0.0
@@ -233,14 +236,9 @@ def _align_level(  # type: ignore[no-untyped-def]
         det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
         if det < 0.2 or det > 6.0:
             continue
-        A_inv = np.empty((2, 2))
         A_inv[0, 0], A_inv[0, 1] = A[1, 1] / det, -A[0, 1] / det
         A_inv[1, 0], A_inv[1, 1] = -A[1, 0] / det, A[0, 0] / det
-        template = np.empty((WINDOW, WINDOW))
-        gx = np.empty((WINDOW, WINDOW))
-        gy = np.empty((WINDOW, WINDOW))
-        inv = np.empty((3, 3))
-        if not _window(stored[n], A_inv, template, gx, gy, inv):
+        if not _window(stored[n], A_inv, template, gx, gy, inv, big):
             continue
         u, v, good = _shift(image[f], template, gx, gy, inv, 0.0, u * scale, v * scale, limit)
         if not good or u < _HALF or v < _HALF or u > w - _HALF or v > h - _HALF:

@@ -150,7 +150,8 @@ def track_frame(
         bearings[restart] = fresh[restart]
         ok[:] = True
     score = np.zeros(len(points))
-    for level in range(max(top - 1, 0), -1, -1):
+    # The coarse pose leaves a pixel or two: the finest levels are enough.
+    for level in range(min(max(top - 1, 0), 1), -1, -1):
         score = aligner.run(pyramid, T, points, bearings, ok, level)
     ok &= score > config.min_zncc
     use = np.flatnonzero(ok & active)
