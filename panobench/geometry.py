@@ -118,9 +118,9 @@ def quat_from_matrix(R: ArrayLike) -> Array:
 
 def matrix_from_quat(q: ArrayLike) -> Array:
     """Quaternion (..., 4) as (x, y, z, w), normalised here -> rotation matrix (..., 3, 3)."""
-    q = np.asarray(q, dtype=np.float64)
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    x, y, z, w = np.moveaxis(q, -1, 0)
+    unit: Array = np.asarray(q, dtype=np.float64)
+    unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+    x, y, z, w = unit[..., 0], unit[..., 1], unit[..., 2], unit[..., 3]
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

@@ -186,8 +186,8 @@ def make_reference(
         if level:
             luma, depth = halve(luma), _halve_depth(depth, 1.3)
         parameters = halved(cam, level)
-        arrays = _select(luma, depth, code, parameters, sin_limit, options.gradient_min)
-        out.append(ReferenceLevel(*arrays, parameters))
+        points, jacobian, value, weight = _select(luma, depth, code, parameters, sin_limit, options.gradient_min)
+        out.append(ReferenceLevel(points, jacobian, value, weight, parameters))
     return Reference(out, code)
 
 

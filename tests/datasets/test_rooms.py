@@ -63,7 +63,10 @@ def test_depth_agrees_between_frames(tiny: RoomSequence) -> None:
     T_bw = invert_pose(truth.T_wc[12])
     local = points @ T_bw[:3, :3].T + T_bw[:3, 3]
     uv, _ = camera.project(local)
-    x, y = np.floor(uv[..., 0]).astype(int) % camera.width, np.clip(np.floor(uv[..., 1]).astype(int), 0, camera.height - 1)
+    x, y = (
+        np.floor(uv[..., 0]).astype(int) % camera.width,
+        np.clip(np.floor(uv[..., 1]).astype(int), 0, camera.height - 1),
+    )
     # Depth differs within a pixel: compare with the range of its neighbourhood.
     around = np.stack([np.roll(b, (i, j), (0, 1))[y, x] for i in (-1, 0, 1) for j in (-1, 0, 1)])
     r = np.linalg.norm(local, axis=-1)

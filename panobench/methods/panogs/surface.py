@@ -37,8 +37,8 @@ def surface_normals(camera: Camera, depth: F32) -> NDArray[np.float64]:
 
 
 def _tangent(points: NDArray[np.float64], depth: F32, axis: int, wrap: bool) -> NDArray[np.float64]:
-    def shift(a: NDArray[np.generic], by: int) -> NDArray[np.generic]:
-        moved = np.roll(a, by, axis=axis).astype(np.float64)
+    def shift(a: NDArray[np.float64], by: int) -> NDArray[np.float64]:
+        moved = np.roll(a, by, axis=axis)
         if not wrap:
             edge = [slice(None)] * a.ndim
             edge[axis] = slice(0, 1) if by > 0 else slice(-1, None)
@@ -48,8 +48,8 @@ def _tangent(points: NDArray[np.float64], depth: F32, axis: int, wrap: bool) -> 
     before, after = shift(points, 1), shift(points, -1)
     d = depth.astype(np.float64)
     with np.errstate(invalid="ignore"):
-        ok_b = np.abs(shift(depth, 1) / d - 1) < 0.1
-        ok_a = np.abs(shift(depth, -1) / d - 1) < 0.1
+        ok_b = np.abs(shift(d, 1) / d - 1) < 0.1
+        ok_a = np.abs(shift(d, -1) / d - 1) < 0.1
     lo = np.where(ok_b[..., None], before, points)
     hi = np.where(ok_a[..., None], after, points)
     return np.asarray(hi - lo)

@@ -123,12 +123,13 @@ class PanogsMethod(OnlineMethod):
         """Keyframe decision; for a keyframe insertion, optimisation and pruning."""
         m = self.mapper
         last = m.window[0]
-        assert tracked.render.touched is not None
-        assert last.touched is not None
-        view = View(frame.index, frame.image, tracked.T_wc, touched=tracked.render.touched)
+        seen, last_seen = tracked.render.touched, last.touched
+        assert seen is not None
+        assert last_seen is not None
+        view = View(frame.index, frame.image, tracked.T_wc, touched=seen)
         distance = float(np.linalg.norm(view.position - last.position)) / m.median_depth
         if not is_keyframe(
-            self.config, view.touched > 0, last.touched > 0, distance, frame.index - last.index,
+            self.config, seen > 0, last_seen > 0, distance, frame.index - last.index,
             len(m.window) >= self.config.window,
         ):  # fmt: skip
             m.frames.append(view)
