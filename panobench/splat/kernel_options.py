@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
+
+# OpenMP workers otherwise spin between kernels: they burn a core while a method rests, and stall each other when
+# several runs share a machine. Read once, when the first parallel kernel loads the runtime.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 #: Kernels are cached on disk after the first compilation. Reassociation lets loops vectorise; NaN and infinity keep
 #: their meaning, since maps and images from strangers contain them.
