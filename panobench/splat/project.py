@@ -16,7 +16,7 @@ from numba import njit, prange
 
 from panobench.photometric.warp import atan2_fast
 from panobench.splat.kernel_options import ALPHA_MIN, COS_MIN, JIT, PARALLEL
-from panobench.splat.view import BOUND_CONES, BOUND_LATLON, CONIC_ERP, CONIC_PINHOLE, SPHERE
+from panobench.splat.view import BOUND_CONES, BOUND_FLAT, BOUND_LATLON, CONIC_ERP, CONIC_PINHOLE, SPHERE
 
 #: Largest tangent offset of a footprint: further out m.r < COS_MIN and nothing is drawn.
 OFFSET_MAX = float(np.sqrt(1.0 / COS_MIN**2 - 1.0))
@@ -157,6 +157,41 @@ def first_order(mu, code, intr):  # type: ignore[no-untyped-def]
     return u, v, (fx / z, 0.0, -fx * tx / z), (0.0, fy / z, -fy * ty / z), cx, cy
 
 
+@njit(**JIT)
+def flat_extent(m, e, s, Q00, Q01, Q11, A22, axis, focal, centre, size):  # type: ignore[no-untyped-def]
+    """First and last pixel column (axis 0) or row (1) of a footprint wholly in front of a pinhole camera.
+
+    The planes x = t z through the eye that touch the ellipse m + E^T d, d^T Q^-1 d = 1, are the roots of
+    n^T (m m^T - E^T Q E) n = 0 with n = (1, 0, -t).
+    """
+    A00 = m[axis] * m[axis] - (Q00 * e[axis] * e[axis] + 2.0 * Q01 * e[axis] * s[axis] + Q11 * s[axis] * s[axis])
+    A02 = m[axis] * m[2] - (Q00 * e[axis] * e[2] + Q01 * (e[axis] * s[2] + s[axis] * e[2]) + Q11 * s[axis] * s[2])
+    root = np.sqrt(max(A02 * A02 - A00 * A22, 0.0))
+    low, high = focal * (A02 - root) / A22 + centre, focal * (A02 + root) / A22 + centre
+    first = int(np.ceil(min(max(low, -1.0), size + 1.0) - 0.5 - 1e-3))
+    last = int(np.floor(min(max(high, -1.0), size + 1.0) - 0.5 + 1e-3))
+    return max(first, 0), min(last, int(size) - 1)
+
+
+@njit(**JIT)
+def side_extent(m, reach, sin_reach, axis, focal, centre, size):  # type: ignore[no-untyped-def]
+    """As ``flat_extent`` for a cone that reaches behind the camera: planes through the eye at angle phi +- half."""
+    h = np.sqrt(m[axis] * m[axis] + m[2] * m[2])
+    if h <= sin_reach:
+        return 0, int(size) - 1
+    phi, half = np.arctan2(m[axis], m[2]), np.arcsin(min(sin_reach / h, 1.0)) + 1e-4
+    low, high = phi - half, phi + half
+    edge = 0.5 * np.pi - 1e-3
+    first, last = 0, int(size) - 1
+    if low >= edge or high <= -edge:
+        return 1, 0
+    if low > -edge:
+        first = max(int(np.ceil(min(max(focal * np.tan(low) + centre, -1.0), size + 1.0) - 0.5)), 0)
+    if high < edge:
+        last = min(int(np.floor(min(max(focal * np.tan(high) + centre, -1.0), size + 1.0) - 0.5)), int(size) - 1)
+    return first, last
+
+
 @njit(**PARALLEL)
 def project(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logits, colours, R_cw, t_cw, code, bound, intr, pixel_angle, low_pass, near,
@@ -211,6 +246,17 @@ def project(  # type: ignore[no-untyped-def]
                     cols[k, 0], cols[k, 1] = int(np.ceil(u - half)), int(np.floor(u + half))
             else:
                 rows[k, 0], rows[k, 1], cols[k, 0], cols[k, 1] = 0, int(H) - 1, 0, int(W) - 1
+                if bound == BOUND_FLAT:
+                    Q00, Q01, Q11 = q_cut * S00, q_cut * S01, q_cut * S11
+                    A22 = m[2] * m[2] - (Q00 * e[2] * e[2] + 2.0 * Q01 * e[2] * s[2] + Q11 * s[2] * s[2])
+                    if A22 > 1e-6:
+                        if m[2] < 0.0:
+                            continue
+                        cols[k, 0], cols[k, 1] = flat_extent(m, e, s, Q00, Q01, Q11, A22, 0, intr[2], intr[4], W)
+                        rows[k, 0], rows[k, 1] = flat_extent(m, e, s, Q00, Q01, Q11, A22, 1, intr[3], intr[5], H)
+                    else:
+                        cols[k, 0], cols[k, 1] = side_extent(m, reach, p[17], 0, intr[2], intr[4], W)
+                        rows[k, 0], rows[k, 1] = side_extent(m, reach, p[17], 1, intr[3], intr[5], H)
         else:
             u, v, J0, J1, _, _ = first_order(mu, code, intr)
             C0, C1 = symmetric_times(C, J0), symmetric_times(C, J1)

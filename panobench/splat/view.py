@@ -16,7 +16,7 @@ Projection = Literal["sphere", "erp", "pinhole"]
 #: Kernel codes of the projections.
 SPHERE, CONIC_ERP, CONIC_PINHOLE = 0, 1, 2
 #: How a footprint is bounded: latitude/longitude rectangle (ERP), rectangle in pixels, cone per tile.
-BOUND_LATLON, BOUND_PIXELS, BOUND_CONES = 0, 1, 2
+BOUND_LATLON, BOUND_PIXELS, BOUND_CONES, BOUND_FLAT = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ def make_view(camera: Camera, projection: Projection = "sphere") -> View:
         intrinsics[2:] = [fx, fy, cx, cy, 0.65 * W / fx, 0.65 * H / fy]
     if projection == "sphere":
         rays = np.nan_to_num(camera.rays()).transpose(2, 0, 1).astype(np.float32)
-        bound = BOUND_LATLON if camera.kind == "erp" else BOUND_CONES
+        flat = camera.kind == "pinhole" and not any(getattr(camera, "distortion", ()) or ())
+        bound = BOUND_LATLON if camera.kind == "erp" else BOUND_FLAT if flat else BOUND_CONES
         code = SPHERE
     else:
         if camera.kind != projection or any(getattr(camera, "distortion", ()) or ()):
