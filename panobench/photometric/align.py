@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise, se3_exp
 from panobench.photometric.pyramid import F32, halve
-from panobench.photometric.warp import camera_code, halved, sample, to_pixel
-from panobench.splat.kernel_options import JIT, PARALLEL
+from panobench.photometric.warp import atan2_fast, camera_code, halved, sample
+from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
 
 #: Unknowns per step: translation (3), rotation (3), log gain, offset.
 UNKNOWNS = 8
 _HESSIAN = UNKNOWNS * (UNKNOWNS + 1) // 2
+#: Pixels worked together.
+_BLOCK = 256
+_HALF, _PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class AlignOptions:
 
 @dataclass(frozen=True)
 class ReferenceLevel:
-    """Selected pixels of one pyramid level: points (n, 3) camera frame, jacobian (n, 6), value (n,), weight (n,)."""
+    """Selected pixels of one pyramid level: points (3, n) camera frame, jacobian (6, n), value (n,), weight (n,)."""
 
     points: F32
     jacobian: F32
@@ -80,57 +83,61 @@ class Alignment:
 
 
 @njit(**JIT)
-def _ray(x, y, code, cam):  # type: ignore[no-untyped-def]
-    """Unit ray of pixel (x, y) and the cosine of its latitude (1 for a pinhole)."""
-    u, v = float(x) + 0.5, float(y) + 0.5
+def _pixel_angles(code, cam, w, h):  # type: ignore[no-untyped-def]
+    """Sine and cosine of every column's longitude and every row's latitude (panorama), (4, max(w, h))."""
+    out = np.empty((4, max(w, h)))
     if code == 0:
-        lon, lat = (u / cam[0] - 0.5) * 2 * np.pi, (0.5 - v / cam[1]) * np.pi
-        c = np.cos(lat)
-        return c * np.sin(lon), -np.sin(lat), c * np.cos(lon), c
-    rx, ry = (u - cam[4]) / cam[2], (v - cam[5]) / cam[3]
-    n = 1.0 / np.sqrt(rx * rx + ry * ry + 1.0)
-    return rx * n, ry * n, n, 1.0
+        for x in range(w):
+            lon = ((x + 0.5) / cam[0] - 0.5) * 2 * np.pi
+            out[0, x], out[1, x] = np.sin(lon), np.cos(lon)
+        for y in range(h):
+            lat = (0.5 - (y + 0.5) / cam[1]) * np.pi
+            out[2, y], out[3, y] = np.sin(lat), np.cos(lat)
+    return out
 
 
 @njit(**JIT)
 def _select_row(  # type: ignore[no-untyped-def]
-    y, image, depth, code, cam, sin_limit, gradient_min, points, jacobian, value, weight, n, fill
+    y, image, depth, code, cam, angles, sin_limit, gradient_min, points, jacobian, value, weight, n, fill
 ):
     """Selected pixels of row y, written from index n on if ``fill``; returns the new count."""
     w = image.shape[1]
+    if code == 0 and abs(angles[2, y]) > sin_limit:
+        return n
     for x in range(w):
         d = depth[y, x]
         if not d > 0:
             continue
         xm, xp = x - 1, x + 1
         if code == 0:
-            xm, xp = (xm + w) % w, xp % w
+            xm, xp = (w - 1 if x == 0 else xm), (0 if xp == w else xp)
         elif xm < 0 or xp >= w:
             continue
         gx = 0.5 * (image[y, xp] - image[y, xm])
         gy = 0.5 * (image[y + 1, x] - image[y - 1, x])
         if not (abs(gx) + abs(gy) >= gradient_min):  # also drops NaN
             continue
-        rx, ry, rz, c = _ray(x, y, code, cam)
-        if code == 0 and abs(ry) > sin_limit:
-            continue
         if fill:
-            X, Y, Z = rx * d, ry * d, rz * d
             if code == 0:
+                c = angles[3, y]
+                X, Y, Z = c * angles[0, x] * d, -angles[2, y] * d, c * angles[1, x] * d
                 a, b = cam[0] / (2 * np.pi), cam[1] / np.pi
-                rho2 = X * X + Z * Z
-                rho, r2 = np.sqrt(rho2), rho2 + Y * Y
+                rho, r2 = c * d, d * d
+                rho2 = rho * rho
                 jx = gx * a * Z / rho2 - gy * b * X * Y / (r2 * rho)
                 jy = gy * b * rho / r2
                 jz = -gx * a * X / rho2 - gy * b * Z * Y / (r2 * rho)
             else:
+                rx, ry = (x + 0.5 - cam[4]) / cam[2], (y + 0.5 - cam[5]) / cam[3]
+                c, Z = 1.0, d / np.sqrt(rx * rx + ry * ry + 1.0)
+                X, Y = rx * Z, ry * Z
                 jx, jy = gx * cam[2] / Z, gy * cam[3] / Z
                 jz = -(jx * X + jy * Y) / Z
-            points[n, 0], points[n, 1], points[n, 2] = X, Y, Z
-            jacobian[n, 0], jacobian[n, 1], jacobian[n, 2] = jx, jy, jz
-            jacobian[n, 3] = Y * jz - Z * jy
-            jacobian[n, 4] = Z * jx - X * jz
-            jacobian[n, 5] = X * jy - Y * jx
+            points[0, n], points[1, n], points[2, n] = X, Y, Z
+            jacobian[0, n], jacobian[1, n], jacobian[2, n] = jx, jy, jz
+            jacobian[3, n] = Y * jz - Z * jy
+            jacobian[4, n] = Z * jx - X * jz
+            jacobian[5, n] = X * jy - Y * jx
             value[n] = image[y, x]
             weight[n] = c
         n += 1
@@ -140,19 +147,23 @@ def _select_row(  # type: ignore[no-untyped-def]
 @njit(**PARALLEL)
 def _select(image, depth, code, cam, sin_limit, gradient_min):  # type: ignore[no-untyped-def]
     h = image.shape[0]
+    angles = _pixel_angles(code, cam, image.shape[1], h)
     counts = np.zeros(h + 1, np.int64)
     e2, e1 = np.empty((0, 0), np.float32), np.empty(0, np.float32)
     for y in prange(1, h - 1):
-        counts[y + 1] = _select_row(y, image, depth, code, cam, sin_limit, gradient_min, e2, e2, e1, e1, 0, False)
+        counts[y + 1] = _select_row(
+            y, image, depth, code, cam, angles, sin_limit, gradient_min, e2, e2, e1, e1, 0, False
+        )
     for y in range(h):
         counts[y + 1] += counts[y]
     n = counts[h]
-    points, jacobian = np.empty((n, 3), np.float32), np.empty((n, 6), np.float32)
+    points, jacobian = np.empty((3, n), np.float32), np.empty((6, n), np.float32)
     value, weight = np.empty(n, np.float32), np.empty(n, np.float32)
     for y in prange(1, h - 1):
         _select_row(
-            y, image, depth, code, cam, sin_limit, gradient_min, points, jacobian, value, weight, counts[y], True
-        )
+            y, image, depth, code, cam, angles, sin_limit, gradient_min, points, jacobian, value, weight,
+            counts[y], True,
+        )  # fmt: skip
     return points, jacobian, value, weight
 
 
@@ -191,48 +202,91 @@ def make_reference(
     return Reference(out, code)
 
 
+@njit(**JIT_FINITE)
+def _project_panorama(X, Y, Z, R, t, w, h, u, v):  # type: ignore[no-untyped-def]
+    for k in range(len(X)):
+        x, y, z = X[k], Y[k], Z[k]
+        px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+        py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+        pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        rho = np.sqrt(px * px + pz * pz)
+        u[k] = w * (_HALF + atan2_fast(px, pz) * _PER_TURN)
+        v[k] = h * (_HALF + np.float32(2) * atan2_fast(py, rho) * _PER_TURN)
+
+
+@njit(**JIT)
+def _project_pinhole(X, Y, Z, R, t, cam, u, v):  # type: ignore[no-untyped-def]
+    for k in range(len(X)):
+        x, y, z = X[k], Y[k], Z[k]
+        px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+        py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+        pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        front = pz >= np.float32(1e-3)
+        inv = np.float32(1) / (pz if front else np.float32(1))
+        u[k] = cam[2] * px * inv + cam[4] if front else np.float32(-1e6)
+        v[k] = cam[3] * py * inv + cam[5] if front else np.float32(-1e6)
+
+
+@njit(**JIT_FINITE)
+def _dot3(a, b, c):  # type: ignore[no-untyped-def]
+    s = np.float32(0)
+    for k in range(len(a)):
+        s += a[k] * b[k] * c[k]
+    return s
+
+
 @njit(**PARALLEL)
-def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, offset, huber, threads):  # type: ignore[no-untyped-def]
-    """Per-thread normal equations: (threads, _HESSIAN + UNKNOWNS + 2): H upper triangle, b, cost, weight seen."""
-    n = points.shape[0]
+def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, offset, huber, unknowns, threads):  # type: ignore[no-untyped-def]
+    """Per-thread normal equations: (threads, _HESSIAN + UNKNOWNS + 2): H upper triangle, b, cost, weight seen.
+
+    Worked in blocks so that all but the sampling runs in vector registers; sums of a block are float32, of blocks
+    float64. Only the first ``unknowns`` (6, or 8 with exposure) rows of H and b are filled.
+    """
+    n = value.shape[0]
     out = np.zeros((threads, _HESSIAN + UNKNOWNS + 2))
     g = np.float32(np.exp(gain))
     off, delta = np.float32(offset), np.float32(huber)
-    block = (n + threads - 1) // threads
+    share = (n + threads - 1) // threads
+    one = np.ones(_BLOCK, np.float32)
     for th in prange(threads):
         A = np.zeros(_HESSIAN + UNKNOWNS + 2)
-        J = np.empty(UNKNOWNS, np.float32)
-        for k in range(th * block, min((th + 1) * block, n)):
-            x, y, z = points[k, 0], points[k, 1], points[k, 2]
-            px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
-            py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
-            pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
-            u, v, ok = to_pixel(px, py, pz, code, cam)
-            if not ok:
-                continue
-            s = sample(image, u, v, code)
-            r = s - g * value[k] - off
-            if not (abs(r) < 10):  # NaN: masked or outside
-                continue
-            a = abs(r)
-            w = weight[k]
-            A[_HESSIAN + UNKNOWNS + 1] += w
-            if a <= delta:
-                A[_HESSIAN + UNKNOWNS] += w * 0.5 * r * r
+        u, v = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+        r, w = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+        J = np.empty((UNKNOWNS, _BLOCK), np.float32)
+        last = min((th + 1) * share, n)
+        for lo in range(th * share, last, _BLOCK):
+            hi = min(lo + _BLOCK, last)
+            m = hi - lo
+            if code == 0:
+                _project_panorama(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, cam[0], cam[1], u, v)
             else:
-                A[_HESSIAN + UNKNOWNS] += w * delta * (a - 0.5 * delta)
-                w *= delta / a
+                _project_pinhole(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, cam, u, v)
+            for k in range(m):
+                e = sample(image, u[k], v[k], code) - g * value[lo + k] - off
+                a, wk = abs(e), weight[lo + k]
+                if not (a < 10):  # NaN: masked or outside
+                    r[k], w[k] = np.float32(0), np.float32(0)
+                    continue
+                A[_HESSIAN + UNKNOWNS + 1] += wk
+                if a <= delta:
+                    A[_HESSIAN + UNKNOWNS] += wk * 0.5 * e * e
+                else:
+                    A[_HESSIAN + UNKNOWNS] += wk * delta * (a - 0.5 * delta)
+                    wk *= delta / a
+                r[k], w[k] = e, wk
             for i in range(6):
-                J[i] = g * jacobian[k, i]
-            J[6] = g * value[k]
-            J[7] = np.float32(1)
+                for k in range(m):
+                    J[i, k] = g * jacobian[i, lo + k]
+            if unknowns > 6:
+                for k in range(m):
+                    J[6, k], J[7, k] = g * value[lo + k], one[k]
             q = 0
             for i in range(UNKNOWNS):
-                wj = w * J[i]
-                A[_HESSIAN + i] += wj * r
-                for j in range(i, UNKNOWNS):
-                    A[q] += wj * J[j]
-                    q += 1
+                if i < unknowns:
+                    A[_HESSIAN + i] += _dot3(w[:m], J[i, :m], r[:m])
+                    for j in range(i, unknowns):
+                        A[q + j - i] += _dot3(w[:m], J[i, :m], J[j, :m])
+                q += UNKNOWNS - i
         out[th] = A
     return out
 
@@ -251,7 +305,7 @@ def _normal_equations(
     R, t = T[:3, :3].astype(np.float32), T[:3, 3].astype(np.float32)
     sums = _accumulate(
         level.points, level.jacobian, level.value, level.weight, image, code, level.camera,
-        R, t, gain, offset, options.huber, threads,
+        R, t, gain, offset, options.huber, 8 if options.exposure else 6, threads,
     ).sum(axis=0)  # fmt: skip
     H = np.zeros((UNKNOWNS, UNKNOWNS))
     H[np.triu_indices(UNKNOWNS)] = sums[:_HESSIAN]

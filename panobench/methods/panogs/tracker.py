@@ -11,7 +11,7 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.views import PoseAdam
-from panobench.photometric.align import Alignment, AlignOptions, align, make_reference
+from panobench.photometric.align import Alignment, AlignOptions, Reference, align, make_reference
 from panobench.photometric.pyramid import F32, luma_of_frame, luma_of_planes, pyramid
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
@@ -19,6 +19,8 @@ from panobench.splat.render import Renderer, RenderOutput
 
 #: Pixels with less opacity have no trustworthy depth.
 OPACITY_MIN = 0.9
+#: A frame this far from its render is rendered again.
+_RENDER_AGAIN_PX = 0.7
 
 
 @dataclass
@@ -41,6 +43,10 @@ class Tracker:
         self.valid = camera.valid_mask()
         self.weights = pixel_weights(camera, config.loss)
         self.options = AlignOptions(exposure=config.exposure)
+        self.coarse_options = AlignOptions(exposure=config.exposure, step_m=2e-4, step_rad=1e-4)
+        self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
+        self.reference: Reference | None = None
+        self.T_reference = np.eye(4)
         self.T_last: NDArray[np.float64] | None = None
         self.velocity = np.eye(4)
         self.costs: list[float] = []
@@ -73,17 +79,35 @@ class Tracker:
         return result
 
     def align_to_map(self, frame: list[F32], gaussians: GaussianMap, T_wc: NDArray[np.float64]) -> Tracked:
-        """Gauss-Newton from ``T_wc``: coarse to fine on the first render, the finest levels on the later ones."""
+        """Gauss-Newton from ``T_wc``: the coarse levels against the last render, then a fresh render for the finest.
+
+        Another render follows only if the frame turned out to be further than ``_RENDER_AGAIN_PX`` from the last.
+        """
         T, iterations = T_wc, 0
-        renders = max(self.config.tracking_renders, 1)
-        for k in range(renders):
-            render = self.renderer.forward(gaussians, T, count_touched=k == renders - 1)
-            luma = luma_of_planes(render.planes)
-            reference = make_reference(self.camera, luma, render.expected_depth(OPACITY_MIN), len(frame), self.options)
-            a = align(reference, frame, np.eye(4), self.options, coarsest=None if k == 0 else 1)
+        if self.reference is not None:
+            start = invert_pose(T) @ self.T_reference
+            a = align(self.reference, frame, start, self.coarse_options, finest=1)
+            T = renormalise(self.T_reference @ invert_pose(a.T_fr))
+            iterations += a.iterations
+        for k in range(max(self.config.tracking_renders, 1)):
+            known = k > 0 or self.reference is not None
+            render = self.renderer.forward(gaussians, T, count_touched=True)
+            self.reference, self.T_reference = self.make_reference(render, len(frame)), T
+            a = align(self.reference, frame, np.eye(4), self.options, coarsest=1 if known else None)
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations
+            if self._moved_px(a.T_fr, render) < _RENDER_AGAIN_PX:
+                break
         return Tracked(T, render, a.cost, iterations, bool(np.isfinite(a.cost)) and a.overlap > 0.5, a)
+
+    def make_reference(self, render: RenderOutput, levels: int) -> Reference:
+        depth = render.expected_depth(OPACITY_MIN)
+        return make_reference(self.camera, luma_of_planes(render.planes), depth, levels, self.options)
+
+    def _moved_px(self, T: NDArray[np.float64], render: RenderOutput) -> float:
+        """How far the motion ``T`` moves a pixel at the median depth, roughly."""
+        depth = float(np.median(render.depth))
+        return float(np.linalg.norm(T[:3, 3]) / max(depth, 1e-9) + np.linalg.norm(T[:3, :3] - np.eye(3))) / self.pixel
 
     def _track_adam(self, image: NDArray[np.uint8], gaussians: GaussianMap, T_wc: NDArray[np.float64]) -> Tracked:
         """The paper's solver: Adam on the pose through the renderer's gradient."""
