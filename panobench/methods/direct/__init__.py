@@ -1,0 +1,1 @@
+"""Direct sparse odometry on the sphere; see ``method.py``."""
