@@ -30,4 +30,15 @@ METHODS: tuple[MethodSpec, ...] = (
             "accurate": {"features": 1200, "window": 12, "final_ba": 20},
         },
     ),
+    MethodSpec(
+        "direct",
+        "direct sparse odometry on the sphere: photometric bundle adjustment of selected pixels; any central camera",
+        "panobench.methods.direct.method:DirectMethod",
+        cameras=("erp", "pal", "fisheye", "pinhole"),
+        colour=False,
+        licence="GPL-3.0-or-later",
+        citation="panobench's own, after Engel et al. 2018 (DSO) and Huang & Yeung 2022 (360VO)",
+        install="built in",
+        config="panobench.methods.direct.config:DirectConfig",
+    ),
 )

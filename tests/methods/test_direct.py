@@ -6,6 +6,7 @@ import pytest
 from sparse_scenes import HALF, view, walk
 
 from panobench.cameras.erp import ErpCamera
+from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.depth.base import DepthEstimator
 from panobench.geometry import invert_pose, se3_exp, so3_log, umeyama
 from panobench.methods.base import MethodContext
@@ -230,3 +231,29 @@ def test_one_frame_gives_no_trajectory_without_a_depth(world):
     method.start(camera, MethodContext())
     assert method.track(Frame(0, 0.0, images[0])) is None
     assert len(method.finish().trajectory) == 0
+
+
+def test_a_camera_the_depth_estimator_does_not_know_is_shown_as_a_panorama():
+    camera = KannalaBrandtCamera(160, 160, 70.0, 70.0, 80.0, 80.0)
+    truth = walk(N)
+    seen = []
+
+    class Watching(BoxDepth):
+        def add(self, frame):
+            seen.append((self.camera.kind, frame.image.shape[:2]))
+            return super().add(frame)
+
+    method = DirectMethod()
+    method.start(camera, MethodContext(make_depth=lambda: Watching(truth[0])))
+    live = [method.track(Frame(i, 0.1 * i, view(camera, T))) for i, T in enumerate(truth[:8])]
+    assert seen[0][0] == "erp"
+    assert all(p is not None for p in live)
+    relative = invert_pose(truth[0]) @ truth[7]
+    assert np.linalg.norm(live[7][:3, 3] - relative[:3, 3]) < 0.02
+    depth = method.finish().depth.depth
+    assert depth.shape == (160, 160)
+    rays = camera.rays() @ truth[0][:3, :3].T
+    known = np.isfinite(depth)
+    error = depth[known] / box_distance(truth[0][:3, 3], rays)[known] - 1
+    assert known.mean() > 0.6
+    assert np.median(np.abs(error)) < 0.02

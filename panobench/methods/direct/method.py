@@ -8,6 +8,7 @@ keyframes and all points, holding the oldest (``window``). No loops, no relocali
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from panobench.methods.direct.tracking import Alignment, align
 from panobench.methods.direct.window import DirectKeyframe, PointCloud, Window
 from panobench.methods.sparse.faces import build_rig, levels_for
 from panobench.methods.sparse.rotation import RotationFinder
+from panobench.methods.stereo_camera import StereoCamera
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
 Array = NDArray[np.float64]
@@ -53,8 +55,9 @@ class DirectMethod(OnlineMethod):
         self.levels = levels_for(self.rig.focal)
         self.rng = np.random.default_rng(context.seed)
         self.finder = RotationFinder(self.rig, self.levels)
+        self.stereo = StereoCamera(camera)
         self.depth: DepthEstimator = _estimator(context)
-        self.depth.start(camera, context.seed)
+        self.depth.start(self.stereo.camera, context.seed)
         self.first: DepthEstimate | None = None
         self.waiting: list[tuple[Frame, Pyramid]] = []
         self.window: Window | None = None
@@ -74,7 +77,7 @@ class DirectMethod(OnlineMethod):
         if not self.waiting and int(np.ptp(pyramid[-1][:, 1:-1, 1:-1])) < 10:
             return None  # a blank image cannot start anything
         self.waiting.append((frame, pyramid))
-        first = self.depth.add(frame)
+        first = self.depth.add(self.stereo.frame(frame))
         return None if first is None else self._begin(first)
 
     # -- the first window --------------------------------------------------------------------------------------
@@ -86,12 +89,8 @@ class DirectMethod(OnlineMethod):
         start = next((i for i, (f, _) in enumerate(waiting) if f.index == first.frame_index), 0)
         frame, pyramid = waiting[start]
         bearings = choose_pixels(self.rig, pyramid[0], self.config.points, np.empty((0, 3)))
-        pixels, seen = self.camera.project(bearings)
-        h, w = first.depth.shape
-        column = np.clip(pixels[:, 0].astype(int), 0, w - 1)
-        row = np.clip(pixels[:, 1].astype(int), 0, h - 1)
-        distance = first.depth[row, column].astype(np.float64)
-        use = seen & np.isfinite(distance) & (distance > 0)
+        distance = self.stereo.depth_along(first.depth, bearings)
+        use = np.isfinite(distance) & (distance > 0)
         rho = 1.0 / distance[use]
         window = Window(self.config, self.rig, self.levels)
         window.points = make_points(self.rig, pyramid, bearings[use], 0, rho, 0.5 * rho, 2 * rho)
@@ -185,15 +184,21 @@ class DirectMethod(OnlineMethod):
             if first is not None and first.ok:
                 self._begin(first)
         if not self.records:
-            return Estimate(Trajectory(np.empty(0), np.empty((0, 4, 4))), depth=self.first)
+            return Estimate(Trajectory(np.empty(0), np.empty((0, 4, 4))), depth=self._depth_map())
         poses = [invert_pose(renormalise(r.T_ck @ self.poses[r.keyframe])) for r in self.records]
         return Estimate(
             Trajectory(np.array([r.time for r in self.records]), np.stack(poses)),
             keyframes=self.keyframes,
             metric=bool(self.first and self.first.metric),
             frames=self.numbers,
-            depth=self.first,
+            depth=self._depth_map(),
         )
+
+    def _depth_map(self) -> DepthEstimate | None:
+        """The first depth at the original camera's pixels."""
+        if self.first is None:
+            return None
+        return dataclasses.replace(self.first, depth=self.stereo.depth_map(self.first.depth), confidence=None)
 
 
 def _estimator(context: MethodContext) -> DepthEstimator:
