@@ -64,6 +64,10 @@ class DatasetError(InputError):
     """A dataset or sequence that is missing, incomplete or malformed."""
 
 
+class OutputError(PanobenchError):
+    """What was to be written cannot be: a full disk, missing permission. Nothing finished is lost."""
+
+
 class UnsupportedError(PanobenchError):
     """A combination the method, camera or format cannot do; says which ones it can."""
 

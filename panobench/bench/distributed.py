@@ -20,6 +20,7 @@ from panobench.bench.cells import Cell, Planned, Planner
 from panobench.bench.isolated import InfrastructureError, Interrupted, Stopper, run_isolated
 from panobench.bench.suite import compute
 from panobench.errors import InputError, UnavailableError, UsageError
+from panobench.writing import writing
 
 #: Seconds between looks whether a cell is still wanted.
 _POLL_S = 1.0
@@ -148,7 +149,7 @@ def pack(folder: Path) -> bytes:
 def unpack(content: bytes, place: Path) -> Path:
     """The folder of ``pack``, below ``place``. Only plain files and folders inside it are accepted."""
     try:
-        with tarfile.open(fileobj=io.BytesIO(content)) as archive:
+        with writing(place), tarfile.open(fileobj=io.BytesIO(content)) as archive:
             members = archive.getmembers()
             if sum(m.size for m in members) > MAX_UNPACKED_BYTES:
                 raise InputError(f"a worker sent a run of more than {MAX_UNPACKED_BYTES >> 30} GiB")

@@ -177,6 +177,8 @@ def write_depth(folder: Path, estimate: DepthEstimate) -> None:
     """depth.jpg (near is warm, 2nd to 98th percentile of inverse depth) and depth_confidence.jpg."""
     import cv2
 
+    from panobench.datasets.images import write_image
+
     folder.mkdir(exist_ok=True)
     inverse = 1.0 / np.where(estimate.depth > 0, estimate.depth, np.nan)
     known = np.isfinite(inverse)
@@ -185,7 +187,7 @@ def write_depth(folder: Path, estimate: DepthEstimate) -> None:
         level = np.clip((np.where(known, inverse, low) - low) / max(high - low, 1e-9), 0, 1)
         picture = cv2.applyColorMap(np.uint8(level * 255), cv2.COLORMAP_TURBO)
         picture[~known] = 0
-        cv2.imwrite(str(folder / "depth.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, 90])
+        write_image(folder / "depth.jpg", picture[..., ::-1], quality=90)
     if estimate.confidence is not None:
         level = np.clip(np.nan_to_num(estimate.confidence), 0, 1)
-        cv2.imwrite(str(folder / "depth_confidence.jpg"), np.uint8(level * 255), [cv2.IMWRITE_JPEG_QUALITY, 90])
+        write_image(folder / "depth_confidence.jpg", np.uint8(level * 255), quality=90)

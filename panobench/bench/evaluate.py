@@ -11,6 +11,7 @@ from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED, MetricInput
 from panobench.plugins import registry
 from panobench.specs import MetricSpec
 from panobench.types import RunStatus
+from panobench.writing import is_disk_full
 
 #: Names others rely on in run.json: there in every run, null where not measured.
 NAMES = (
@@ -42,7 +43,8 @@ class Scores:
 def evaluate(data: MetricInput, status: RunStatus, message: str, log: Callable[[str], None]) -> Scores:
     """Every metric of a run that went through (or was interrupted); of a failed one only its coverage.
 
-    A metric that raises leaves its keys None and a note; it never changes the run's status.
+    A metric that raises leaves its keys None and a note; it never changes the run's status. Only a full disk is raised:
+    the run could not be stored.
     """
     begin = time.perf_counter()
     scores = Scores(status, message, dict.fromkeys(NAMES))
@@ -82,10 +84,12 @@ def _measure(
         return nothing
     try:
         values = spec.load()(data)
-    except PanobenchError as error:
-        notes[spec.name] = str(error)
-        return nothing
     except Exception as error:  # a stranger's metric, or a renderer that fails: the run stays a run
+        if is_disk_full(error):
+            raise
+        if isinstance(error, PanobenchError):
+            notes[spec.name] = str(error)
+            return nothing
         notes[spec.name] = f"{type(error).__name__}: {error}"
         log(f"metric {spec.name} failed: {type(error).__name__}: {error}")
         return nothing

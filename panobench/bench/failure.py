@@ -28,8 +28,7 @@ def write_failure(
     extra: dict[str, Any] | None = None,
 ) -> Path:
     """A complete run folder without results at ``out``."""
-    pending = PendingRun(out)
-    try:
+    with PendingRun(out) as pending:
         (pending.path / LOG).write_text(log + f"\n{status.value}: {message}\n", encoding="utf-8")
         (pending.path / TRAJECTORY).write_text("# time x y z qx qy qz qw (camera-to-world)\n", encoding="utf-8")
         write_frames(pending.path / FRAMES, [])
@@ -59,9 +58,6 @@ def write_failure(
         }
         write_json(pending.path / RUN_JSON, document)
         return pending.publish()
-    except BaseException:
-        pending.discard()
-        raise
 
 
 def tail(path: Path, size: int = MAX_LOG_BYTES) -> str:

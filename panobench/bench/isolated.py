@@ -17,11 +17,11 @@ from typing import Any
 from panobench.bench.cells import Cell
 from panobench.bench.failure import tail, write_failure
 from panobench.bench.runfolder import LOG, RUN_JSON, read_run_json, write_json
-from panobench.bench.store import StoreError
 from panobench.bench.supervisor import Result
 from panobench.bench.worker import DISK_FULL
-from panobench.errors import InputError, PanobenchError
+from panobench.errors import InputError, OutputError, PanobenchError
 from panobench.types import RunStatus
+from panobench.writing import disk_full, writing
 
 #: Seconds a run has to write what it tracked when the suite is interrupted.
 GRACE_S = 20.0
@@ -62,11 +62,11 @@ class Stopper:
 def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stopper | None = None) -> Path:
     """Run a cell in an empty folder ``place`` and return the run folder below it; ``entry`` becomes "cell" in run.json.
 
-    Raises StoreError when the disk is full, InfrastructureError when the supervisor was lost.
+    Raises OutputError when the disk is full, InfrastructureError when the supervisor was lost.
     """
     stopper = stopper or Stopper()
     out, job, supervised = place / "run", place / "cell.json", place / "job.json"
-    try:
+    with writing(place):
         job.write_text(json.dumps({"cell": cell.to_dict(), "entry": entry}), encoding="utf-8")
         supervised.write_text(
             json.dumps(
@@ -88,15 +88,13 @@ def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stoppe
             stdin=subprocess.DEVNULL,
             start_new_session=True,
         )
-    except OSError as error:
-        raise StoreError(f"{place}: cannot be written ({error.strerror})") from error
     with stopper.watching(process.terminate):
         process.wait()
     result = _read_result(place / "result.json")
     if result is None:
         raise InfrastructureError(f"the supervisor of '{cell.label}' ended without a result ({process.returncode})")
     if result.returncode == DISK_FULL:
-        raise StoreError(f"{place}: the disk is full; free some space and run the same command again")
+        raise disk_full(place)
     return _finish(cell, entry, place, out, result)
 
 
@@ -112,24 +110,25 @@ def _finish(cell: Cell, entry: dict[str, Any], place: Path, out: Path, result: R
     output = tail(place / "output.txt")
     metering = {k: v for k, v in asdict(result).items() if k not in ("end", "returncode", "oom_kill")}
     whole = result.end in ("exit", "stopped") and (out / RUN_JSON).is_file()
-    try:
-        if whole:
+    if whole:
+        try:
             document = read_run_json(out)
-            document["isolation"] = metering
+        except InputError as error:
+            raise OutputError(f"{place}: what was written there cannot be read again ({error})") from error
+        document["isolation"] = metering
+        with writing(place):
             _replace_json(out / RUN_JSON, document)
             if output.strip():
                 with (out / LOG).open("a", encoding="utf-8") as log:
                     log.write("--- output of the process ---\n" + output)
-            return out
-        status, message = judge(result, cell)
-        part = next(place.glob(".run.*.part"), None)
-        log_text = "\n".join(t for t in (tail(part / LOG) if part else "", output) if t.strip())
-        timing = {"wall_s": result.wall_s, "peak_rss_bytes": result.peak_rss_bytes or None, "cpu_s": result.cpu_s}
-        shutil.rmtree(out, ignore_errors=True)
-        extra = {"cell": entry, "isolation": metering}
-        return write_failure(out, cell.request, status, message, log=log_text, timing=timing, extra=extra)
-    except (OSError, InputError) as error:
-        raise StoreError(f"{place}: cannot be written ({error})") from error
+        return out
+    status, message = judge(result, cell)
+    part = next(place.glob(".run.*.part"), None)
+    log_text = "\n".join(t for t in (tail(part / LOG) if part else "", output) if t.strip())
+    timing = {"wall_s": result.wall_s, "peak_rss_bytes": result.peak_rss_bytes or None, "cpu_s": result.cpu_s}
+    shutil.rmtree(out, ignore_errors=True)
+    extra = {"cell": entry, "isolation": metering}
+    return write_failure(out, cell.request, status, message, log=log_text, timing=timing, extra=extra)
 
 
 def _replace_json(path: Path, document: dict[str, Any]) -> None:

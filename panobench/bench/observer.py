@@ -17,6 +17,9 @@ class Observer:
     def stage(self, text: str) -> None:
         """What happens now: "opening", "tracking", "finishing", "evaluating"."""
 
+    def log(self, line: str) -> None:
+        """A line was added to log.txt."""
+
     def started(self, total: int, truth: Trajectory | None) -> None:
         """Tracking begins; ``truth`` is for showing the error so far."""
 

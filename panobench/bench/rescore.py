@@ -31,6 +31,7 @@ from panobench.datasets.trajectory_io import read_rows, read_tum
 from panobench.errors import InputError, UsageError
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED, PROTOCOL_VERSION, MetricInput
 from panobench.types import Estimate, RunStatus, Trajectory
+from panobench.writing import writing
 
 Alignment = Literal["auto", "sim3", "se3", "none"]
 ALIGNMENTS: tuple[Alignment, ...] = ("auto", "sim3", "se3", "none")
@@ -155,25 +156,30 @@ def _optional_tum(path: Path) -> Trajectory:
 
 def write_copy(folder: Path, document: dict[str, Any], target: Path) -> Path:
     """A run folder at ``target`` with the new document; the other files are hard links where possible."""
-    pending = PendingRun(target)
-    try:
-        shutil.copytree(folder, pending.path, copy_function=_link, dirs_exist_ok=True)
-        (pending.path / RUN_JSON).unlink()
-        write_json(pending.path / RUN_JSON, document)
+    with PendingRun(target) as pending:
+        with writing(target):
+            for source in sorted(folder.rglob("*")):
+                _copy(source, pending.path / source.relative_to(folder))
+            (pending.path / RUN_JSON).unlink()
+            write_json(pending.path / RUN_JSON, document)
         return pending.publish()
-    except BaseException:
-        pending.discard()
-        raise
 
 
 def write_in_place(folder: Path, document: dict[str, Any]) -> None:
     """Replace run.json by a rename: a reader sees the old or the new one."""
     part = folder / f".{RUN_JSON}.{os.getpid()}.part"
-    write_json(part, document)
-    os.replace(part, folder / RUN_JSON)
+    try:
+        with writing(folder):
+            write_json(part, document)
+            os.replace(part, folder / RUN_JSON)
+    finally:
+        part.unlink(missing_ok=True)
 
 
-def _link(source: str, target: str) -> None:
+def _copy(source: Path, target: Path) -> None:
+    if source.is_dir():
+        target.mkdir()
+        return
     try:
         os.link(source, target)
     except OSError:

@@ -10,11 +10,13 @@ import shutil
 import uuid
 from collections.abc import Mapping
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import psutil
 
-from panobench.errors import InputError, UsageError
+from panobench.errors import InputError, PanobenchError, UsageError
+from panobench.writing import disk_full, is_disk_full, writing
 
 SCHEMA = 1
 RUN_JSON, LOG, TRAJECTORY, GROUNDTRUTH, FRAMES, MAP = (
@@ -31,28 +33,49 @@ MAX_RUN_JSON_BYTES = 64 << 20
 
 
 class PendingRun:
-    """A run folder in the making: write below ``path``, then ``publish`` or ``discard``."""
+    """A run folder in the making: write below ``path``, then ``publish``.
+
+    As a context manager it is discarded when the block ends by an error. Whatever is too large for the disk raises
+    OutputError, also from within the block, where any code may have been the one that met it.
+    """
 
     def __init__(self, target: Path, force: bool = False) -> None:
-        """Raises UsageError when ``target`` is taken: by something that is no run, or by a run without ``force``."""
+        """Raises UsageError when ``target`` is taken: by something that is no run, or by a run without ``force``.
+
+        OutputError when it cannot be written.
+        """
         self.target = Path(os.path.abspath(target))
         check_free(self.target, force)
         self.force = force
-        self.target.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(self.target)
         self.path = self.target.parent / f".{self.target.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}.part"
-        self.path.mkdir()
+        with writing(self.target):
+            self.target.parent.mkdir(parents=True, exist_ok=True)
+            _sweep(self.target)
+            self.path.mkdir()
+
+    def __enter__(self) -> PendingRun:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            return
+        self.discard()
+        if isinstance(error, Exception) and not isinstance(error, PanobenchError) and is_disk_full(error):
+            raise disk_full(self.target) from error
 
     def publish(self) -> Path:
         """Flush everything to the disk and rename into place. Raises UsageError if the place was taken meanwhile."""
-        _sync_tree(self.path)
         check_free(self.target, self.force)
         old = None
-        if self.target.is_dir() and any(self.target.iterdir()):
-            old = self.path.with_suffix(".old")
-            os.rename(self.target, old)
-        os.rename(self.path, self.target)
-        _sync(self.target.parent)
+        with writing(self.target):
+            _sync_tree(self.path)
+            if self.target.is_dir() and any(self.target.iterdir()):
+                old = self.path.with_suffix(".old")
+                os.rename(self.target, old)
+            os.rename(self.path, self.target)
+            _sync(self.target.parent)
         if old is not None:
             shutil.rmtree(old, ignore_errors=True)
         return self.target
@@ -62,13 +85,17 @@ class PendingRun:
 
 
 def check_free(target: Path, force: bool) -> None:
-    """Raise UsageError unless a run may be put at ``target`` (free, empty, or a run to be replaced)."""
-    if not target.exists():
-        return
-    if not target.is_dir():
-        raise UsageError(f"{target}: is a file; give a folder for the run")
-    if not any(target.iterdir()):
-        return
+    """Raise UsageError unless a run may be put at ``target`` (free, empty, or a run to be replaced).
+
+    OutputError when it cannot be looked at.
+    """
+    with writing(target):
+        if not target.exists():
+            return
+        if not target.is_dir():
+            raise UsageError(f"{target}: is a file; give a folder for the run")
+        if not any(target.iterdir()):
+            return
     if not (target / RUN_JSON).is_file():
         raise UsageError(f"{target}: is not empty and not a run folder; give another folder")
     if not force:

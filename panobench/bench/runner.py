@@ -7,6 +7,7 @@ import random
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -31,12 +32,16 @@ from panobench.types import Frame, RunStatus
 class RunLog:
     """log.txt: one line per event with the seconds since the run began."""
 
-    def __init__(self, file: TextIO) -> None:
-        self._file, self._begin = file, time.perf_counter()
+    def __init__(self, file: TextIO, heard: Callable[[str], None] | None = None) -> None:
+        """``heard`` gets each line too, as it is written."""
+        self._file, self._heard, self._begin = file, heard, time.perf_counter()
 
     def __call__(self, line: str) -> None:
         for part in str(line).splitlines() or [""]:
-            self._file.write(f"[{time.perf_counter() - self._begin:9.3f}] {part}\n")
+            text = f"[{time.perf_counter() - self._begin:9.3f}] {part}"
+            self._file.write(text + "\n")
+            if self._heard is not None:
+                self._heard(text)
         self._file.flush()
 
 
@@ -70,14 +75,10 @@ def execute(
     check_free(target, force)
     observer.stage("opening")
     opened = open_run(request)
-    pending = PendingRun(target, force)
-    try:
+    with PendingRun(target, force) as pending:
         with (pending.path / LOG).open("w", encoding="utf-8") as file:
-            document = _run(request, opened, pending.path, RunLog(file), observer, extra or {})
+            document = _run(request, opened, pending.path, RunLog(file, observer.log), observer, extra or {})
         folder = pending.publish()
-    except BaseException:
-        pending.discard()
-        raise
     _call_hooks("run_finished", None, folder=folder, run=document)
     return folder
 

@@ -11,7 +11,6 @@ Layout below the store's root:
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import os
 import shutil
@@ -23,15 +22,12 @@ from typing import Any
 
 from panobench.bench.cells import Cell, Planned
 from panobench.bench.runfolder import RUN_JSON, read_run_json
-from panobench.errors import InputError, PanobenchError
+from panobench.errors import InputError
+from panobench.writing import writing
 
 RUNS, QUARANTINE, SUPERSEDED, LOCKS, WORK = "runs", "_quarantine", "_superseded", ".locks", ".work"
 #: Keep that many replaced results of one cell.
 _KEEP = 3
-
-
-class StoreError(PanobenchError):
-    """The store cannot be written: a full disk, missing permission. Nothing finished is lost."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +122,7 @@ class Store:
     def quarantine(self, folder: Path, reason: str) -> Quarantined:
         """Move a damaged folder away, with the reason beside it."""
         target = self._aside(QUARANTINE, folder.name)
-        with storing(self.root):
+        with writing(self.root):
             os.rename(folder, target)
             (target / "quarantine.txt").write_text(reason + "\n", encoding="utf-8")
         return Quarantined(target, reason)
@@ -143,7 +139,7 @@ class Store:
     @contextlib.contextmanager
     def lock(self, cell: Cell, wait: bool = False) -> Iterator[bool]:
         """Hold the cell's lock; yields False, holding nothing, when another process has it and ``wait`` is False."""
-        with storing(self.root):
+        with writing(self.root):
             for name in (RUNS, LOCKS, WORK):
                 (self.root / name).mkdir(parents=True, exist_ok=True)
             handle = os.open(self.root / LOCKS / cell.slug, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -161,7 +157,7 @@ class Store:
     def workplace(self, cell: Cell) -> Iterator[Path]:
         """An empty folder for the cell's worker, removed afterwards. Hold the cell's lock."""
         place = self.root / WORK / cell.slug
-        with storing(self.root):
+        with writing(self.root):
             shutil.rmtree(place, ignore_errors=True)  # of a process that was killed
             place.mkdir(parents=True)
         try:
@@ -173,7 +169,7 @@ class Store:
         """Move a complete run folder (in the store's file system) into the cell's place. Hold the cell's lock."""
         target = self.folder(planned.cell)
         document = read_run_json(folder)
-        with storing(self.root):
+        with writing(self.root):
             if target.exists():
                 os.rename(target, self._aside(SUPERSEDED, target.name))
                 self._forget_old(target.name)
@@ -182,7 +178,7 @@ class Store:
 
     def _aside(self, kind: str, name: str) -> Path:
         """A free folder name below _quarantine or _superseded."""
-        with storing(self.root):
+        with writing(self.root):
             (self.root / kind).mkdir(exist_ok=True)
         stamp = time.strftime("%Y%m%d-%H%M%S")
         target, number = self.root / kind / f"{name}.{stamp}", 1
@@ -195,23 +191,3 @@ class Store:
         old = sorted((self.root / SUPERSEDED).glob(f"{name}.*"), key=lambda p: p.stat().st_mtime)
         for folder in old[:-_KEEP]:
             shutil.rmtree(folder, ignore_errors=True)
-
-
-def is_disk_full(error: BaseException | None) -> bool:
-    """Whether an error, or what caused it, is that the disk or the quota is full."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
-
-
-@contextlib.contextmanager
-def storing(root: Path) -> Iterator[None]:
-    """Turn failures to write into StoreError."""
-    try:
-        yield
-    except OSError as error:
-        if is_disk_full(error):
-            raise StoreError(f"{root}: the disk is full; free some space and run the same command again") from error
-        raise StoreError(f"{root}: cannot be written ({error.strerror or error})") from error

@@ -19,6 +19,7 @@ from panobench.bench.isolated import InfrastructureError, Interrupted, Stopper, 
 from panobench.bench.store import Quarantined, Store, Stored
 from panobench.errors import UnknownNameError
 from panobench.types import RunStatus
+from panobench.writing import writing
 
 #: What `--retry failed` means: everything that is no result of the method on this data.
 FAILED = ("timeout", "out-of-memory", "crashed", "unsupported", "unavailable", "interrupted")
@@ -158,7 +159,8 @@ def compute(
         return write_failure(place / "run", planned.cell.request, planned.status, planned.message, extra=about)
     for attempt in range(1, ATTEMPTS + 1):
         there = place / f"attempt-{attempt}"
-        there.mkdir()
+        with writing(place):
+            there.mkdir()
         try:
             return run(planned.cell, entry(planned, suite, attempt), there, stopper)
         except Interrupted:
@@ -185,7 +187,7 @@ class SuiteRunner:
     def run(self, plan: Plan, jobs: int = 1) -> None:
         """Run all cells to do, ``jobs`` at a time; first those nobody else works on, then wait for the others'.
 
-        Raises StoreError when the store cannot be written: everything finished stays, the rest is not marked.
+        Raises OutputError when the store cannot be written: everything finished stays, the rest is not marked.
         """
         busy = self._pass(plan.todo, jobs, wait=False)
         if busy and not self.stopper.requested:

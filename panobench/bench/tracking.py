@@ -17,6 +17,7 @@ from panobench.datasets.base import Sequence
 from panobench.errors import MethodError, PanobenchError
 from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
 from panobench.types import Estimate, Frame, RunStatus, Trajectory
+from panobench.writing import is_disk_full
 
 Pose = NDArray[np.float64]
 FrameDone = Callable[[Frame, "Pose | None", float], None]
@@ -119,8 +120,8 @@ def track_batch(
 
 
 def _blame(error: Exception, result: Tracked, where: str) -> None:
-    """Record the method's failure, or raise again what the user can mend (data, options, missing software)."""
-    if isinstance(error, PanobenchError) and not isinstance(error, MethodError):
+    """Record the method's failure, or raise what the user can mend (data, options, software, a full disk)."""
+    if is_disk_full(error) or (isinstance(error, PanobenchError) and not isinstance(error, MethodError)):
         raise error
     if isinstance(error, MemoryError):
         result.status = RunStatus.OUT_OF_MEMORY

@@ -15,9 +15,9 @@ from pathlib import Path
 from panobench.bench.cells import Cell
 from panobench.bench.failure import write_failure
 from panobench.bench.runner import execute
-from panobench.bench.store import is_disk_full
 from panobench.errors import InputError, PanobenchError
 from panobench.types import RunStatus
+from panobench.writing import is_disk_full
 
 DISK_FULL = 75
 

@@ -117,8 +117,7 @@ def score_import(
     tracked = track_batch(method, sequence, frozenset(holdout), MethodContext(), Observer())
     assert tracked.estimate is not None
     tracked.latency, tracked.wall_s = [], 0.0
-    pending = PendingRun(target, force)
-    try:
+    with PendingRun(target, force) as pending:
         with (pending.path / LOG).open("w", encoding="utf-8") as file:
             log = RunLog(file)
             log(f"{len(tracked.estimate.trajectory)} poses of {trajectory} belong to {len(sequence)} frames")
@@ -134,9 +133,6 @@ def score_import(
             document = run_document(request, opened, tracked, holdout, scores, {}, provenance())
             write_run(pending.path, _marked(document, trajectory, options), opened, tracked, holdout)
         return pending.publish()
-    except BaseException:
-        pending.discard()
-        raise
 
 
 def _marked(document: dict[str, Any], trajectory: Path, options: ImportOptions) -> dict[str, Any]:

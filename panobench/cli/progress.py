@@ -24,9 +24,10 @@ _ERROR_PERIOD_S = 0.5
 class ProgressBar(Observer):
     """On standard error; silent where that is no terminal."""
 
-    def __init__(self, title: str, console: Console | None = None) -> None:
+    def __init__(self, title: str, console: Console | None = None, verbose: bool = False) -> None:
+        """``verbose``: also print the lines of log.txt, on a terminal or not."""
         self._console = console or Console(stderr=True)
-        self._title = title
+        self._title, self._verbose = title, verbose
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -55,6 +56,10 @@ class ProgressBar(Observer):
 
     def stage(self, text: str) -> None:
         self._progress.update(self._task, description=f"{self._title}: {text}")
+
+    def log(self, line: str) -> None:
+        if self._verbose:
+            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def started(self, total: int, truth: Trajectory | None) -> None:
         self._progress.update(self._task, total=total)

@@ -13,6 +13,7 @@ import typer
 
 from panobench.bench.config import parse_settings
 from panobench.bench.request import RunRequest
+from panobench.errors import UsageError
 
 app = typer.Typer()
 EXIT_NOT_OK, EXIT_INTERRUPTED = 1, 130
@@ -39,6 +40,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="The run folder; default: a new one below runs/.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print the run's log as it is written.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the run's run.json, and nothing else.")] = False,
 ) -> None:
     """Run one method on one sequence and store the run."""
@@ -58,7 +60,9 @@ def run(
         preset=preset,
         settings=parse_settings(settings or ()),
     )
-    folder = run_with_progress(request, out, force, show=not (quiet or as_json))
+    if quiet and verbose:
+        raise UsageError("--quiet and --verbose exclude each other")
+    folder = run_with_progress(request, out, force, show=verbose or not (quiet or as_json), verbose=verbose)
     from panobench.bench.runfolder import RUN_JSON, read_run_json
 
     document = read_run_json(folder)
@@ -72,15 +76,15 @@ def run(
         raise typer.Exit(code)
 
 
-def run_with_progress(request: RunRequest, out: Path | None, force: bool, show: bool) -> Path:
-    """Execute, with a progress bar on a terminal's standard error."""
+def run_with_progress(request: RunRequest, out: Path | None, force: bool, show: bool, verbose: bool = False) -> Path:
+    """Execute, with a progress bar on a terminal's standard error, and the log if ``verbose``."""
     from panobench.bench.runner import execute
 
     if not show:
         return execute(request, out, force=force)
     from panobench.cli.progress import ProgressBar
 
-    with ProgressBar(f"{request.method} on {request.sequence or request.dataset}") as bar:
+    with ProgressBar(f"{request.method} on {request.sequence or request.dataset}", verbose=verbose) as bar:
         return execute(request, out, force=force, observer=bar)
 
 

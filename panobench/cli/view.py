@@ -53,7 +53,7 @@ def view(
     from panobench.datasets.images import encode_image
     from panobench.datasets.look_around import write_look_around_page
     from panobench.datasets.single_image import open_anything
-    from panobench.datasets.writer import explained_disk_errors
+    from panobench.writing import write_whole
 
     opened = open_anything(source, camera, dataset, sequence)
     chosen = _spread(len(opened), frames)
@@ -65,9 +65,7 @@ def view(
     name = opened.name.replace("/", "-")
     sheet = contact_sheet(rows, f"{opened.name}: {opened.camera.kind} {opened.camera.width}x{opened.camera.height}")
     target = folder / f"{name}.sheet.png"
-    with explained_disk_errors(target):
-        folder.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(encode_image(sheet, ".png"))
+    write_whole(target, encode_image(sheet, ".png"))
     console = Console(highlight=False, soft_wrap=True)
     console.print(str(target))
     if panoramas:

@@ -209,6 +209,11 @@ def encode_image(image: NDArray[Any], suffix: str, *, quality: int = 95) -> byte
     return bytes(data)
 
 
+def write_image(path: Path, image: NDArray[Any], *, quality: int = 95) -> None:
+    """Write RGB (H, W, 3) or grey/bool (H, W) as the suffix says. Raises OSError, which cv2.imwrite may not."""
+    path.write_bytes(encode_image(image, path.suffix, quality=quality))
+
+
 def encode_depth(depth: NDArray[np.float32]) -> bytes:
     """Radial depth in metres -> bytes of a .npy file, float32 (exact, NaN kept)."""
     import io

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets.images import encode_image
-from panobench.datasets.writer import explained_disk_errors
+from panobench.writing import write_whole
 
 
 def look_around_page(title: str, panoramas: list[tuple[str, NDArray[np.uint8]]], *, quality: int = 88) -> str:
@@ -27,10 +27,8 @@ def look_around_page(title: str, panoramas: list[tuple[str, NDArray[np.uint8]]],
 
 
 def write_look_around_page(path: Path, title: str, panoramas: list[tuple[str, NDArray[np.uint8]]]) -> None:
-    """Write the page. Raises DatasetError if it cannot be written."""
-    text = look_around_page(title, panoramas)
-    with explained_disk_errors(path):
-        path.write_text(text, encoding="utf-8")
+    """Write the page. Raises OutputError if it cannot be written."""
+    write_whole(path, look_around_page(title, panoramas))
 
 
 def _jpeg(image: NDArray[np.uint8], quality: int) -> bytes:

@@ -20,10 +20,10 @@ from panobench.cameras.factory import upright_rotation
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import Sequence
 from panobench.datasets.palvio_calibration import OVERRIDE, PalvioCalibration, published_calibration
-from panobench.datasets.writer import explained_disk_errors
 from panobench.errors import UsageError
 from panobench.geometry import invert_pose, make_pose, quat_from_matrix
 from panobench.types import Trajectory
+from panobench.writing import write_whole, writing
 
 Array = NDArray[np.float64]
 GRAVITY = 9.80665
@@ -104,14 +104,14 @@ def write_palvio_bag(
     calibration = scaled_calibration(options.width)
     motion, frames, up = _plan(sequence, options, calibration)
     partial = path.with_name(path.name + ".partial")
-    with explained_disk_errors(path):
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         partial.unlink(missing_ok=True)
         try:
             _write(partial, sequence, frames, motion, up, calibration, options, progress)
             if calibration.camera.width != published_calibration().camera.width:
                 write_calibration(calibration.camera, path.parent / CAMERA_FILE)
-                (path.parent / OVERRIDE).write_text(f"camera: {CAMERA_FILE}\n", encoding="utf-8")
+                write_whole(path.parent / OVERRIDE, f"camera: {CAMERA_FILE}\n")
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)

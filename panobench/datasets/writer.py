@@ -7,13 +7,11 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import shutil
 import threading
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,10 +26,12 @@ from panobench.datasets.trajectory_io import tum_text
 from panobench.errors import DatasetError, UsageError
 from panobench.geometry import quat_from_matrix
 from panobench.types import Imu, NovelView, Trajectory
+from panobench.writing import writing
 
 FORMAT_VERSION = 1
 JOURNAL = "journal.jsonl"
 FORMATS = ("png", "jpg")
+CONTINUES = "free some space and run the command again: it continues"
 
 
 @dataclass(frozen=True)
@@ -45,21 +45,6 @@ class FrameRecord:
     @property
     def image(self) -> str:
         return next(name for name in self.files if name.startswith("images/"))
-
-
-@contextmanager
-def explained_disk_errors(path: Path) -> Iterator[None]:
-    """Turn "no space", "read-only" and the like into a DatasetError that says what to do."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise DatasetError(
-                "the disk is full; free some space and run the command again: it continues", path
-            ) from error
-        if error.errno in (errno.EACCES, errno.EROFS, errno.EPERM, errno.ENOTDIR, errno.EEXIST):
-            raise DatasetError(f"cannot be written ({error.strerror})", path) from error
-        raise
 
 
 def imu_text(imu: Imu) -> str:
@@ -105,7 +90,7 @@ class SequenceWriter:
         self.fingerprint = _plain(fingerprint or {})
         if path.exists():
             raise UsageError(f"{path} exists already; remove it or choose another --out")
-        with explained_disk_errors(self.partial):
+        with writing(self.partial, CONTINUES):
             if restart and self.partial.exists():
                 shutil.rmtree(self.partial)
             self._open_journal({"format": FORMAT_VERSION, "what": self.fingerprint})
@@ -161,7 +146,7 @@ class SequenceWriter:
         contents = {f"images/{index:06d}{self._suffix}": encode_image(image, self._suffix)}
         if depth is not None:
             contents[f"depth/{index:06d}.npy"] = encode_depth(depth)
-        with explained_disk_errors(self.partial):
+        with writing(self.partial, CONTINUES):
             for name, data in contents.items():
                 target = self.partial / name
                 target.parent.mkdir(exist_ok=True)
@@ -203,7 +188,7 @@ class SequenceWriter:
         checksums |= {name: sha256_bytes(data) for name, data in files.items()}
         about = {"format": FORMAT_VERSION, "what": self.fingerprint, **(meta or {}), "checksums": checksums}
         files["meta.json"] = (json.dumps(about, indent=1) + "\n").encode()
-        with explained_disk_errors(self.partial):
+        with writing(self.partial, CONTINUES):
             for name, data in files.items():
                 (self.partial / name).parent.mkdir(exist_ok=True)
                 (self.partial / name).write_bytes(data)
@@ -276,7 +261,7 @@ def write_sequence(
     """Write a whole panobench sequence: frames are (time in s, RGB, radial depth or None), times increasing.
 
     ``groundtruth`` holds camera-to-world poses at (some of) the frames' times. The folder appears
-    complete or not at all. Raises UsageError if it exists, DatasetError if it cannot be written.
+    complete or not at all. Raises UsageError if it exists, OutputError if it cannot be written.
     """
     writer = SequenceWriter(path, camera, image_format=image_format, restart=True)
     try:

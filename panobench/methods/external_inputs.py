@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets.base import Sequence
+from panobench.datasets.images import write_image
 from panobench.errors import UnsupportedError
 
 if TYPE_CHECKING:
@@ -39,9 +40,8 @@ def write_images(
     written = []
     for frame in sequence.frames():
         name = f"{names[frame.index] if names else f'{frame.index:06d}'}.png"
-        code = cv2.COLOR_RGB2GRAY if grey else cv2.COLOR_RGB2BGR
-        if not cv2.imwrite(str(folder / name), cv2.cvtColor(frame.image, code)):
-            raise OSError(f"cannot write {folder / name}")
+        image = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY) if grey else frame.image
+        write_image(folder / name, np.asarray(image))
         written.append(name)
     return WrittenImages(folder, written)
 
@@ -53,12 +53,10 @@ def nanoseconds(times: NDArray[np.float64]) -> list[str]:
 
 def write_mask(camera: Camera, path: Path) -> bool:
     """A PNG, 255 where pixels count; False (and no file) when all of them do."""
-    import cv2
-
     valid = camera.valid_mask()
     if valid.all():
         return False
-    cv2.imwrite(str(path), valid.astype(np.uint8) * 255)
+    write_image(path, valid)
     return True
 
 

@@ -9,11 +9,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.datasets.images import write_image
 from panobench.errors import UnsupportedError
 from panobench.metrics.alignment import match, world_alignment
 from panobench.metrics.base import MetricInput, Render
@@ -154,5 +154,4 @@ def write_pair(folder: Path, stem: str, render: Image, truth: Image) -> None:
     """STEM.jpg and STEM_gt.jpg, at full size."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, image in ((f"{stem}.jpg", render), (f"{stem}_gt.jpg", truth)):
-        bgr = np.ascontiguousarray(np.uint8(np.round(image * 255))[..., ::-1])
-        cv2.imwrite(str(folder / name), bgr, [cv2.IMWRITE_JPEG_QUALITY, 92])
+        write_image(folder / name, np.uint8(np.round(image * 255)), quality=92)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from panobench.report.exports import FORMATS, SUFFIXES
 from panobench.report.model import Collection
 from panobench.report.published import load_published
 from panobench.report.tables import build_tables
+from panobench.writing import write_whole
 
 
 def write_report(
@@ -28,7 +28,7 @@ def write_report(
 
     format: "html", "latex", "csv", "markdown" or "json"; None takes it from the suffix. tables: names of the
     tables wanted in an export (all). assets: put full-size pictures into a folder beside the HTML file.
-    Raises InputError for unusable input, UsageError for an unknown format or table.
+    Raises InputError for unusable input, UsageError for an unknown format or table, OutputError.
     """
     kind = choose_format(output, format)
     collection = collect(runs)
@@ -59,14 +59,3 @@ def choose_format(output: Path, format: str | None) -> str:
     if format != "html" and format not in FORMATS:
         raise UnknownNameError("report format", format, ["html", *FORMATS])
     return format
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write beside and rename into place, so that a reader never sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from typing import Any
 from panobench.report.images import Picture, Plan, encode_file, plan, spread
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
+from panobench.writing import write_whole
 
 
 @dataclass
@@ -43,10 +43,9 @@ class Gallery:
             self.store[digest] = picture.uri
             self.sizes[digest] = (picture.width, picture.height)
             if self.assets is not None:
-                self.assets.mkdir(parents=True, exist_ok=True)
                 target = self.assets / f"{digest}{path.suffix.lower()}"
                 if not target.exists():
-                    shutil.copyfile(path, target)
+                    write_whole(target, path.read_bytes())
                 self.links[digest] = f"{self.assets.name}/{target.name}"
         return digest
 
@@ -56,9 +55,8 @@ def copy_map(run: Run, gallery: Gallery, number: int) -> str | None:
     source = run.folder / "map.ply"
     if gallery.assets is None or not source.is_file():
         return None
-    gallery.assets.mkdir(parents=True, exist_ok=True)
     target = gallery.assets / f"map-{number}.ply"
-    shutil.copyfile(source, target)
+    write_whole(target, source.read_bytes())
     return f"{gallery.assets.name}/{target.name}"
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from panobench.errors import UnknownNameError, UsageError
+from panobench.errors import OutputError, UnknownNameError, UsageError
 from panobench.plugins import registry
+from panobench.writing import write_whole
 
 _WHAT = {
     "method": ("method", "a method that estimates yaw", "It estimates how far a panorama turned."),
@@ -60,11 +62,13 @@ def new_package(name: str, kind: str, parent: Path) -> NewPackage:
         f"tests/test_{module}.py": f"{kind}.test",
     }
     templates = files("panobench.testing") / "templates"
-    for path, template in layout.items():
-        text = (templates / f"{template}.tmpl").read_text(encoding="utf-8")
-        for key, value in values.items():
-            text = text.replace(f"@{key}@", value)
-        target = folder / path
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
+    try:
+        for path, template in layout.items():
+            text = (templates / f"{template}.tmpl").read_text(encoding="utf-8")
+            for key, value in values.items():
+                text = text.replace(f"@{key}@", value)
+            write_whole(folder / path, text)
+    except OutputError:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
     return NewPackage(folder, [Path(p) for p in layout])

@@ -20,9 +20,9 @@ from panobench.bench.cells import Cell, Limits, Planned, Planner
 from panobench.bench.isolated import InfrastructureError, Stopper, run_isolated
 from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import read_run_json
-from panobench.bench.store import Store, Stored, StoreError
+from panobench.bench.store import Store, Stored
 from panobench.bench.suite import SuiteRunner, choose, make_plan, parse_retry
-from panobench.errors import UnknownNameError
+from panobench.errors import OutputError, UnknownNameError
 from panobench.types import RunStatus
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
@@ -371,30 +371,15 @@ def test_ctrl_c_of_a_suite_keeps_what_is_done(tmp_path: Path) -> None:
     assert workers_of(tmp_path) == []
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Any:
-    """A file system of 512 KiB; needs the right to mount."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "tmpfs", str(place)], capture_output=True)
-    if done.returncode:
-        pytest.skip("mounting a small file system is not allowed here")
-    yield place
-    subprocess.run(["umount", "-l", str(place)], check=True)
-
-
 @pytest.mark.slow
-def test_a_full_disk_stops_the_suite_and_harms_nothing(small_disk: Path) -> None:
+def test_a_full_disk_stops_the_suite_and_harms_nothing(small_disk: Any) -> None:
     from panobench.bench.suite import compute
 
-    store, first, second = Store(small_disk / "s"), cell(), cell(seed=1)
+    store, first, second = Store(small_disk.path / "s"), cell(), cell(seed=1)
     run(store, [first], compute=compute)
     before = (store.folder(first) / "run.json").read_bytes()
-    filler = small_disk / "filler"
-    with filler.open("wb", buffering=0) as file:
-        size = 4096 if fill(file) else 0
-    os.truncate(filler, filler.stat().st_size - 6 * size)  # room to begin, not to end
-    with pytest.raises(StoreError, match="the disk is full; free some space and run the same command again"):
+    filler = small_disk.leave(6)  # room to begin, not to end
+    with pytest.raises(OutputError, match="the disk is full; free some space and run the same command again"):
         run(store, [first, second], compute=compute)
     assert (store.folder(first) / "run.json").read_bytes() == before
     assert store.find(second) is None
@@ -402,12 +387,3 @@ def test_a_full_disk_stops_the_suite_and_harms_nothing(small_disk: Path) -> None
     run(store, [first, second], compute=compute)
     assert statuses(store, [first, second]) == ["ok", "ok"]
     assert (store.folder(first) / "run.json").read_bytes() == before
-
-
-def fill(file: Any) -> bool:
-    """Write until the disk is full."""
-    while True:
-        try:
-            file.write(b"x" * 4096)
-        except OSError:
-            return True

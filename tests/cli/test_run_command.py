@@ -39,6 +39,17 @@ def test_json_and_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert capsys.readouterr() == ("", "")
 
 
+def test_verbose_shows_the_log_as_it_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    blind = ("--sequence", "blind", "--out", str(tmp_path / "r"))
+    assert panobench(words(*blind, "--verbose", "--json")) == 0
+    printed = capsys.readouterr()
+    assert "still started" in printed.err
+    assert printed.err == (tmp_path / "r" / "log.txt").read_text()
+    assert json.loads(printed.out)["status"] == "ok"
+    assert panobench(words(*blind, "--verbose", "--quiet")) == 2
+    assert "--quiet and --verbose exclude each other" in capsys.readouterr().err
+
+
 def test_set_reaches_the_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "r"
     options = ["--set", "features=7", "--set", "inner.steps=4,5", "--preset", "quick", "--json", "--out", str(out)]

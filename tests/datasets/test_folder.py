@@ -13,7 +13,7 @@ from panobench.cameras.erp import ErpCamera
 from panobench.datasets import writer as writer_module
 from panobench.datasets.folder import Folder
 from panobench.datasets.writer import SequenceWriter, write_sequence
-from panobench.errors import CalibrationError, DatasetError, UsageError
+from panobench.errors import CalibrationError, DatasetError, OutputError, UsageError
 from panobench.types import Imu, NovelView, Trajectory
 
 TIMES = np.array([0.5, 0.6, 0.75])
@@ -176,6 +176,6 @@ def test_a_full_disk_is_explained_and_leaves_no_sequence(tmp_path: Path, monkeyp
     writer = writer_module.SequenceWriter(tmp_path / "seq", camera())
     writer.add(0, 0.0, panorama(0))
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(DatasetError, match="the disk is full"):
+    with pytest.raises(OutputError, match="the disk is full"):
         writer.add(1, 0.1, panorama(1))
     assert not (tmp_path / "seq").exists()

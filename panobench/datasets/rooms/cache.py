@@ -13,6 +13,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from panobench.writing import writing
+
 #: Raised when the pictures change on purpose; part of every provenance record.
 GENERATOR_VERSION = 1
 
@@ -58,10 +60,12 @@ def publish(folder: Path, fill: Callable[[Path], None]) -> None:
     """Make ``folder`` by ``fill(temporary folder)`` and a rename; if it is there already, nothing happens.
 
     Two processes at once: the lock makes the second wait, and without locks the loser's copy is dropped.
+    Raises OutputError when the cache cannot be written.
     """
     if folder.is_dir():
         return
-    with locked(folder.with_name(folder.name + ".lock")):
+    lock = folder.with_name(folder.name + ".lock")
+    with writing(folder, denied="set PANOBENCH_CACHE to a folder that can be"), locked(lock):
         if folder.is_dir():
             return
         temporary = folder.with_name(f".{folder.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")

@@ -1,0 +1,59 @@
+"""What goes wrong when writing to disk is the user's to mend: it becomes one OutputError that says how."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from panobench.errors import OutputError
+
+#: What to do about a full disk, unless a command knows better.
+AGAIN = "free some space and run the same command again"
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether an error, or what caused it, is that the disk or the quota is full."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def disk_full(path: Path, again: str = AGAIN) -> OutputError:
+    """The error to raise when ``path`` did not fit."""
+    return OutputError(f"{path}: the disk is full; {again}")
+
+
+@contextmanager
+def writing(path: Path, again: str = AGAIN, denied: str = "") -> Iterator[None]:
+    """Turn the block's OSErrors into OutputError about ``path``. Put nothing but writing into the block.
+
+    again: what to do about a full disk. denied: what to do when it cannot be written for another reason.
+    """
+    try:
+        yield
+    except OSError as error:
+        if is_disk_full(error):
+            raise disk_full(path, again) from error
+        hint = f"; {denied}" if denied else ""
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error}){hint}") from error
+
+
+def write_whole(path: Path, data: bytes | str) -> None:
+    """Write a file beside its place and rename it, so that a reader never sees half of it. Makes folders as needed.
+
+    Raises OutputError.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            part.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
+            part.replace(path)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
