@@ -97,7 +97,7 @@ def test_env_names_what_matters(capsys: pytest.CaptureFixture[str], monkeypatch:
     assert panobench(["env", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["packages"]["numpy"] == np.__version__
-    assert found["plugins"] == {"panobench-fake": "1.5"}
+    assert found["plugins"]["panobench-fake"] == "1.5"
     assert found["settings"]["PANOBENCH_DATA"] == "/data"
     assert "no_such_package" in found["cannot run here"]["method fake-absent"]
     assert panobench(["env"]) == 0
