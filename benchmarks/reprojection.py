@@ -23,10 +23,9 @@ import numpy as np
 
 from panobench.cameras.calibration import builtin_calibration
 from panobench.cameras.erp import ErpCamera
-from panobench.cameras.factory import upright_rotation
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.reproject import Reprojector
-from panobench.cameras.views import look_rotation
+from panobench.cameras.views import look_rotation, upright_rotation
 
 VIEW_LON_DEG, VIEW_LAT_DEG = 30.0, 10.0
 

@@ -37,6 +37,8 @@ class ErpCamera(ParametricCamera):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.width != 2 * self.height:
+            if self.width == 2 * self.height + 1:  # as --width makes it
+                raise CalibrationError(f"a panorama's width must be even, not {self.width}")
             raise CalibrationError(
                 f"a panorama must be twice as wide as high, not {self.width}x{self.height}; "
                 "crop or pad it to the full sphere first"

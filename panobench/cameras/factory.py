@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from panobench.cameras.base import Array, Camera
-from panobench.cameras.views import PAPER_FOV_DEG, view_rotation
+from panobench.cameras.views import PAPER_FOV_DEG, upright_rotation, view_rotation
 from panobench.errors import CalibrationError, UnknownNameError, UnsupportedError, UsageError
 
 
@@ -48,17 +48,8 @@ def parse_fov(text: str | float | tuple[float, float] | None) -> tuple[float, fl
     except ValueError:
         values = []
     if len(values) not in (1, 2) or not all(0 < v <= 360 for v in values):
-        raise UsageError(f"a field of view is written 120 or 120x60 (degrees), not '{text}'")
+        raise UsageError(f"a field of view is written 120 or 120x60 (degrees, at most 360), not '{text}'")
     return values[0], values[1] if len(values) == 2 else None
-
-
-def upright_rotation(camera: Camera) -> Array:
-    """R_upright_camera (3, 3): from a camera's axes to axes in which its panorama stands upright.
-
-    An annular lens (`pal`) is mounted with its axis vertical: its horizon is what other cameras call front. An ERP ray
-    (x, y, z) is (x, z, -y) in its axes. Other cameras are upright already.
-    """
-    return view_rotation("up").T if camera.kind == "pal" else np.eye(3)
 
 
 def parse_camera_option(

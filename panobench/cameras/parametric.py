@@ -33,8 +33,10 @@ class ParametricCamera(Camera):
     def __post_init__(self) -> None:
         for name in ("width", "height"):
             value = getattr(self, name)
-            if isinstance(value, bool) or int(value) != value or not 0 < value <= MAX_SIDE:
-                raise CalibrationError(f"{self.kind} camera: {name} must be a whole number of pixels, not {value!r}")
+            if not _is_whole(value) or not 0 < value <= MAX_SIDE:
+                raise CalibrationError(
+                    f"{self.kind} camera: {name} must be a whole number from 1 to {MAX_SIDE}, not {value!r}"
+                )
             object.__setattr__(self, name, int(value))
         if self.mask is not None:
             mask = np.array(self.mask, dtype=bool)
@@ -147,6 +149,13 @@ def normalised(rays: Array, valid: NDArray[np.bool_] | None = None) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         out = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     return out if valid is None else np.where(valid[..., None], out, np.nan)
+
+
+def _is_whole(value: Any) -> bool:
+    try:
+        return not isinstance(value, bool) and int(value) == value
+    except (TypeError, ValueError, OverflowError):
+        return False
 
 
 def _plain(value: Any) -> Any:

@@ -18,7 +18,7 @@ from panobench.cameras.base import Array, Camera
 from panobench.cameras.field_of_view import describe_view
 from panobench.cameras.footprint import Sampling, choose_sampling
 from panobench.cameras.seams import Seams, Window
-from panobench.cameras.views import rotated_poses
+from panobench.cameras.views import rotated_poses, upright_rotation
 from panobench.errors import CalibrationError, UnsupportedError
 
 #: Samples mapped at a time, to bound memory.
@@ -74,9 +74,10 @@ class Reprojector:
         self._valid = np.asarray((covered > 0.999) & target.valid_mask())
         self._maps.hide(~self._valid, self.sampling.grid)
         if not self._valid.any():
+            up = upright_rotation(source)
             raise UnsupportedError(
                 f"the target view sees nothing of the source: the source ({source.kind}) covers "
-                f"{describe_view(source)}, the target ({target.kind}) {describe_view(target, R.T)}; "
+                f"{describe_view(source, up)}, the target ({target.kind}) {describe_view(target, up @ R.T)}; "
                 "turn or widen the target view"
             )
 

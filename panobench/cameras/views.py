@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from panobench.cameras.base import Array
+from panobench.cameras.base import Array, Camera
 from panobench.errors import UnknownNameError, UsageError
 from panobench.geometry import make_pose
 
@@ -93,3 +93,12 @@ def rotated_poses(T_wc_source: ArrayLike, R_target_source: ArrayLike) -> Array:
     """Camera-to-world poses (..., 4, 4) of a camera at the same place with axes turned by ``R_target_source``."""
     R_source_target = np.asarray(R_target_source, dtype=np.float64).T
     return np.asarray(np.asarray(T_wc_source, dtype=np.float64) @ make_pose(R_source_target, np.zeros(3)))
+
+
+def upright_rotation(camera: Camera) -> Array:
+    """R_upright_camera (3, 3): from a camera's axes to axes in which its panorama stands upright.
+
+    An annular lens (`pal`) is mounted with its axis vertical: its horizon is what other cameras call front. An ERP ray
+    (x, y, z) is (x, z, -y) in its axes. Other cameras are upright already.
+    """
+    return view_rotation("up").T if camera.kind == "pal" else np.eye(3)

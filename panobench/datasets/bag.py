@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from panobench.datasets.images import check_limits
 from panobench.errors import DatasetError
 
+_MAGIC = b"#ROSBAG V2.0"
 #: Encodings of sensor_msgs/Image that are read, and their channels.
 ENCODINGS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3}
 
@@ -70,6 +71,9 @@ class BagFile:
         self._lock = threading.RLock()
         self._types = get_typestore(Stores.ROS1_NOETIC)
         with explained_bag_errors(path):
+            with path.open("rb") as file:
+                if not file.read(len(_MAGIC)).startswith(_MAGIC):
+                    raise DatasetError("this is not a ROS 1 bag (version 2.0)", path)
             self._reader = Reader(path)
             self._reader.open()
             self.topics = {

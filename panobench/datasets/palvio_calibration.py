@@ -76,7 +76,10 @@ def find_calibration(folder: Path) -> PalvioCalibration:
     unknown = sorted(set(map(str, values)) - {"camera", "body_T_cam", "time_offset_s", *_TOPICS})
     if unknown:
         raise CalibrationError(f"unknown key '{unknown[0]}'", path)
-    return replace(published_calibration(), **_changes(values, path))
+    found = replace(published_calibration(), **_changes(values, path))
+    if len({getattr(found, topic) for topic in _TOPICS}) < len(_TOPICS):
+        raise CalibrationError(f"{', '.join(_TOPICS)} must be three different topics", path)
+    return found
 
 
 def _changes(values: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.calibration import write_calibration
-from panobench.cameras.factory import upright_rotation
 from panobench.cameras.reproject import Reprojector
+from panobench.cameras.views import upright_rotation
 from panobench.datasets.base import Sequence
 from panobench.datasets.palvio_calibration import OVERRIDE, PalvioCalibration, published_calibration
 from panobench.errors import UsageError

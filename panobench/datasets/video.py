@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,10 @@ class VideoReader:
         cv2 = _cv2()
         if self.path.stat().st_size == 0:
             raise DatasetError("the video is empty", self.path)
+        # What FFmpeg and OpenCV would print about a damaged file, our own message says in one line.
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+        log = cv2.utils.logging
+        log.setLogLevel(min(log.getLogLevel(), log.LOG_LEVEL_ERROR))
         capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         if not capture.isOpened():
             raise DatasetError("the video cannot be opened: not a video, truncated, or an unknown codec", self.path)

@@ -364,6 +364,8 @@ def test_calibration_for_another_resolution(tmp_path: Path) -> None:
     [
         ("", "empty"),
         ("model: pinhole\nwidth: 10\nheight: 10\nfx: 1\nfy: 1\ncx: 5\n", "'cy' is missing"),
+        ("model: erp\nwidth: wide\nheight: 10\n", r":2: .*width must be a whole number from 1 to 65536, not 'wide'"),
+        ("model: erp\nwidth: 21\nheight: 10\n", "a panorama's width must be even, not 21"),
         ("model: pinhole\nwidth: 10\nheight: 10\nfx: 1\nfy: one\ncx: 5\ncy: 5\n", "fy must be a number, not 'one'"),
         ("model: pinhole\nwidth: 10\nheight: 10\nfx: -1\nfy: 1\ncx: 5\ncy: 5\n", "positive"),
         ("model: pinhole\nwidth: 10.5\nheight: 10\nfx: 1\nfy: 1\ncx: 5\ncy: 5\n", "width must be a whole number"),

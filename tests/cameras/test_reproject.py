@@ -16,7 +16,7 @@ from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.mei import MeiCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.reproject import Reprojector
-from panobench.cameras.views import VIEW_DIRECTIONS, look_rotation, view_rotation
+from panobench.cameras.views import VIEW_DIRECTIONS, look_rotation, upright_rotation, view_rotation
 from panobench.errors import CalibrationError, UnsupportedError
 from panobench.geometry import invert_pose, make_pose, so3_exp
 
@@ -237,6 +237,9 @@ def test_no_overlap_names_both_fields_of_view() -> None:
     assert "longitude 150..210" in message
     with pytest.raises(UnsupportedError, match="sees nothing"):
         Reprojector(CAMERAS["pal"], PinholeCamera.from_fov(100, 40, 40))  # into the blind centre
+    lens = builtin_calibration("palvio_up").scaled(160)  # looks up, so that its own axes would tell a user little
+    with pytest.raises(UnsupportedError, match=r"pal\) covers .* latitude -27\.\.51 .* latitude -90\.\.-6\d deg"):
+        Reprojector(lens, PinholeCamera.from_fov(100, 40, 40), view_rotation("down") @ upright_rotation(lens))
 
 
 def test_wrong_input_is_said() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from dataset_samples import video
 
+from panobench.cli.main import run
 from panobench.datasets.images import encode_image
 from panobench.datasets.open import open_sequence
 from panobench.datasets.video import Video, VideoReader
@@ -61,6 +62,15 @@ def test_bad_videos(tmp_path: Path) -> None:
         Video(path).open()
     with pytest.raises(DatasetError, match="twice as wide"):
         Video(video(tmp_path / "square.mp4", 3, size=(64, 48))).open()
+
+
+def test_the_decoder_does_not_add_its_own_lines(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "v.mp4"
+    path.write_bytes(video(tmp_path / "w.mp4").read_bytes()[:400])
+    assert run(["view", str(path), "-o", str(tmp_path)]) == 2
+    printed = capfd.readouterr()
+    assert printed.err.count("\n") == 1, printed.err
+    assert "v.mp4: the video cannot be opened" in printed.err
 
 
 def test_damage_in_the_middle_names_the_frame(tmp_path: Path) -> None:
