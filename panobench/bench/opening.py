@@ -66,7 +66,8 @@ def open_run(request: RunRequest) -> Opened:
     sequence = open_input(request, spec)
     if "imu" in spec.needs and sequence.imu is None:
         raise UnsupportedError(f"method '{spec.name}' needs an IMU; sequence '{sequence.name}' has none")
-    if "poses" in spec.needs and sequence.groundtruth is None:
+    own_poses = bool(getattr(config, "trajectory", ""))  # the method reads them from a file the user names
+    if "poses" in spec.needs and sequence.groundtruth is None and not own_poses:
         raise UnsupportedError(f"method '{spec.name}' needs given poses; sequence '{sequence.name}' has none")
     origin = registry().entries[MethodSpec.kind][spec.name].origin
     return Opened(spec, origin, method, config, sequence, depth)

@@ -1,6 +1,7 @@
 """Specs of the built-in methods."""
 
 from panobench.methods.panogs.config import PRESETS as PANOGS_PRESETS
+from panobench.methods.reconstruct.config import PRESETS as RECONSTRUCT_PRESETS
 from panobench.specs import MethodSpec
 
 METHODS: tuple[MethodSpec, ...] = (
@@ -40,5 +41,18 @@ METHODS: tuple[MethodSpec, ...] = (
         citation="panobench's own, after Engel et al. 2018 (DSO) and Huang & Yeung 2022 (360VO)",
         install="built in",
         config="panobench.methods.direct.config:DirectConfig",
+    ),
+    MethodSpec(
+        "reconstruct",
+        "offline Gaussian reconstruction with given poses (ground truth, or a trajectory file)",
+        "panobench.methods.reconstruct.method:ReconstructMethod",
+        cameras=("erp", "pinhole", "fisheye", "pal", "ds", "eucm", "omni", "cubemap"),
+        needs=("rgb", "poses"),
+        metric=True,
+        licence="GPL-3.0-or-later",
+        citation="panobench's own; the setting of ODGS (Lee et al. 2024) and OmniGS (Li et al. 2025)",
+        install="built in",
+        config="panobench.methods.reconstruct.config:ReconstructConfig",
+        presets=RECONSTRUCT_PRESETS,
     ),
 )

@@ -53,7 +53,7 @@ class _Subject:
     def make(self) -> OnlineMethod | BatchMethod:
         if self.unavailable is not None:
             raise Skipped(self.unavailable)
-        return make_method(self.spec)
+        return make_method(self.spec, preset=self.options.preset)
 
     def run(self, sequence: Sequence, work: Path | None = None, idle_s: float = 0.0) -> MethodRun:
         return run_method(

@@ -31,10 +31,14 @@ class Check:
 
 @dataclass(frozen=True)
 class Options:
-    """root: data folder for a dataset that needs one. seed: given to methods and estimators."""
+    """root: data folder for a dataset that needs one. seed: given to methods and estimators.
+
+    preset: of a method's options ("": its defaults), for methods too slow to be checked with their defaults.
+    """
 
     root: Path | None = None
     seed: int = 7
+    preset: str = ""
 
 
 class Failed(Exception):

@@ -1,0 +1,1 @@
+"""Gaussian Splatting SLAM on pinhole images; see ``method.py``."""

@@ -1,0 +1,1 @@
+"""Feature tracking with a Gaussian map; see ``method.py``."""

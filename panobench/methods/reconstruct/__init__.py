@@ -1,0 +1,1 @@
+"""Offline Gaussian reconstruction with given poses; see ``method.py``."""
