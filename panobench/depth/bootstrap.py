@@ -32,7 +32,7 @@ class BootstrapOptions:
     coarse_width: int = 256
     fine_width: int = 512
     parallax_rad: float = 0.12
-    parallax_fast_rad: float = 0.3
+    parallax_fast_rad: float = 0.22
     min_frames: int = 4
     frames: int = 12
     wait: int = 60

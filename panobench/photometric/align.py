@@ -25,18 +25,24 @@ UNKNOWNS = 8
 _HESSIAN = UNKNOWNS * (UNKNOWNS + 1) // 2
 #: Pixels worked together.
 _BLOCK = 256
+#: Histogram of absolute residuals: bins and their number in one unit of intensity.
+_BINS, _PER_BIN = 1024, np.float32(4096)
 _HALF, _PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 
 
 @dataclass(frozen=True)
 class AlignOptions:
-    """iterations: most per level, coarsest first (the last repeats). huber: residual (of 1) where the cost turns
-    linear. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v) is ill-suited there).
+    """iterations: most per level, coarsest first (the last repeats). huber: residual where the cost turns linear, in
+    robust standard deviations of the level's residuals at its start, at least huber_min (of 1): with a fixed
+    threshold the few strong edges, where interpolation and occlusion err, outvote weakly textured walls.
+    depth_edge: pixels whose four neighbours span a larger ratio of depths are left out. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v) is ill-suited there).
     step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
     """
 
     iterations: tuple[int, ...] = (12, 8, 6, 5)
-    huber: float = 0.05
+    huber: float = 1.0
+    huber_min: float = 0.002
+    depth_edge: float = 1.1
     latitude_limit_deg: float = 75.0
     step_m: float = 2e-5
     step_rad: float = 1e-5
@@ -65,7 +71,8 @@ class Reference:
 
 @dataclass
 class Alignment:
-    """T_fr (4, 4): frame from reference camera. cost: mean robust residual; overlap: weight share that was seen.
+    """T_fr (4, 4): frame from reference camera. cost: mean robust cost; sigma: robust standard deviation of the
+    residuals when the last level began; overlap: weight share that was seen.
 
     hessian (6, 6) at the solution over (translation, rotation) of the reference camera, on the finest level.
     converged: the last level stopped because steps became small. gain, offset: frame = exp(gain) render + offset.
@@ -73,6 +80,7 @@ class Alignment:
 
     T_fr: NDArray[np.float64]
     cost: float
+    sigma: float
     overlap: float
     iterations: int
     converged: bool
@@ -98,7 +106,7 @@ def _pixel_angles(code, cam, w, h):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def _select_row(  # type: ignore[no-untyped-def]
-    y, image, depth, code, cam, angles, sin_limit, gradient_min, points, jacobian, value, weight, n, fill
+    y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, points, jacobian, value, weight, n, fill
 ):
     """Selected pixels of row y, written from index n on if ``fill``; returns the new count."""
     w = image.shape[1]
@@ -116,6 +124,10 @@ def _select_row(  # type: ignore[no-untyped-def]
         gx = 0.5 * (image[y, xp] - image[y, xm])
         gy = 0.5 * (image[y + 1, x] - image[y - 1, x])
         if not (abs(gx) + abs(gy) >= gradient_min):  # also drops NaN
+            continue
+        near = min(min(depth[y, xm], depth[y, xp]), min(depth[y - 1, x], depth[y + 1, x]))
+        far = max(max(depth[y, xm], depth[y, xp]), max(depth[y - 1, x], depth[y + 1, x]))
+        if max(far, d) > edge * min(near, d):
             continue
         if fill:
             if code == 0:
@@ -145,14 +157,14 @@ def _select_row(  # type: ignore[no-untyped-def]
 
 
 @njit(**PARALLEL)
-def _select(image, depth, code, cam, sin_limit, gradient_min):  # type: ignore[no-untyped-def]
+def _select(image, depth, code, cam, sin_limit, gradient_min, edge):  # type: ignore[no-untyped-def]
     h = image.shape[0]
     angles = _pixel_angles(code, cam, image.shape[1], h)
     counts = np.zeros(h + 1, np.int64)
     e2, e1 = np.empty((0, 0), np.float32), np.empty(0, np.float32)
     for y in prange(1, h - 1):
         counts[y + 1] = _select_row(
-            y, image, depth, code, cam, angles, sin_limit, gradient_min, e2, e2, e1, e1, 0, False
+            y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, e2, e2, e1, e1, 0, False
         )
     for y in range(h):
         counts[y + 1] += counts[y]
@@ -161,7 +173,7 @@ def _select(image, depth, code, cam, sin_limit, gradient_min):  # type: ignore[n
     value, weight = np.empty(n, np.float32), np.empty(n, np.float32)
     for y in prange(1, h - 1):
         _select_row(
-            y, image, depth, code, cam, angles, sin_limit, gradient_min, points, jacobian, value, weight,
+            y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, points, jacobian, value, weight,
             counts[y], True,
         )  # fmt: skip
     return points, jacobian, value, weight
@@ -197,7 +209,7 @@ def make_reference(
         if level:
             luma, depth = halve(luma), _halve_depth(depth, 1.3)
         parameters = halved(cam, level)
-        points, jacobian, value, weight = _select(luma, depth, code, parameters, sin_limit, options.gradient_min)
+        points, jacobian, value, weight = _select(luma, depth, code, parameters, sin_limit, options.gradient_min, options.depth_edge)
         out.append(ReferenceLevel(points, jacobian, value, weight, parameters))
     return Reference(out, code)
 
@@ -239,11 +251,13 @@ def _dot3(a, b, c):  # type: ignore[no-untyped-def]
 def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, offset, huber, unknowns, threads):  # type: ignore[no-untyped-def]
     """Per-thread normal equations: (threads, _HESSIAN + UNKNOWNS + 2): H upper triangle, b, cost, weight seen.
 
+    Second result (threads, _BINS): histogram of |residual| in steps of 1 / _PER_BIN.
+
     Worked in blocks so that all but the sampling runs in vector registers; sums of a block are float32, of blocks
     float64. Only the first ``unknowns`` (6, or 8 with exposure) rows of H and b are filled.
     """
     n = value.shape[0]
-    out = np.zeros((threads, _HESSIAN + UNKNOWNS + 2))
+    out, bins = np.zeros((threads, _HESSIAN + UNKNOWNS + 2)), np.zeros((threads, _BINS))
     g = np.float32(np.exp(gain))
     off, delta = np.float32(offset), np.float32(huber)
     share = (n + threads - 1) // threads
@@ -268,6 +282,7 @@ def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, o
                     r[k], w[k] = np.float32(0), np.float32(0)
                     continue
                 A[_HESSIAN + UNKNOWNS + 1] += wk
+                bins[th, min(int(a * _PER_BIN), _BINS - 1)] += wk
                 if a <= delta:
                     A[_HESSIAN + UNKNOWNS] += wk * 0.5 * e * e
                 else:
@@ -288,32 +303,53 @@ def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, o
                         A[q + j - i] += _dot3(w[:m], J[i, :m], J[j, :m])
                 q += UNKNOWNS - i
         out[th] = A
-    return out
+    return out, bins
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """H (8, 8), b (8,), mean robust cost, share of the weight that was seen and robust residual sigma."""
+
+    H: NDArray[np.float64]
+    b: NDArray[np.float64]
+    cost: float
+    seen: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class _State:
+    """A candidate solution: pose, log gain, offset."""
+
+    T: NDArray[np.float64]
+    gain: float
+    offset: float
+
+    def moved(self, x: NDArray[np.float64]) -> _State:
+        """J x ~ r for the reference's own motion x; the frame's motion is its inverse."""
+        gain, offset = (self.gain + x[6], self.offset + x[7]) if len(x) > 6 else (self.gain, self.offset)
+        return _State(renormalise(self.T @ invert_pose(se3_exp(x[:6]))), gain, offset)
 
 
 def _normal_equations(
-    level: ReferenceLevel,
-    image: F32,
-    code: int,
-    T: NDArray[np.float64],
-    gain: float,
-    offset: float,
-    options: AlignOptions,
-    threads: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
-    """H (8, 8), b (8,), mean robust cost and share of the weight that was seen, at pose T."""
-    R, t = T[:3, :3].astype(np.float32), T[:3, 3].astype(np.float32)
-    sums = _accumulate(
+    level: ReferenceLevel, image: F32, code: int, state: _State, huber: float, exposure: bool
+) -> _Normal:
+    threads = get_num_threads()
+    R, t = state.T[:3, :3].astype(np.float32), state.T[:3, 3].astype(np.float32)
+    parts, bins = _accumulate(
         level.points, level.jacobian, level.value, level.weight, image, code, level.camera,
-        R, t, gain, offset, options.huber, 8 if options.exposure else 6, threads,
-    ).sum(axis=0)  # fmt: skip
+        R, t, state.gain, state.offset, huber, UNKNOWNS if exposure else 6, threads,
+    )  # fmt: skip
+    sums = parts.sum(axis=0)
     H = np.zeros((UNKNOWNS, UNKNOWNS))
     H[np.triu_indices(UNKNOWNS)] = sums[:_HESSIAN]
     H = H + np.triu(H, 1).T
     seen = float(sums[-1])
     total = float(level.weight.sum(dtype=np.float64))
     cost = float(sums[-2]) / seen if seen > 0 else np.inf
-    return H, sums[_HESSIAN : _HESSIAN + UNKNOWNS], cost, seen / total if total > 0 else 0.0
+    cumulative = np.cumsum(bins.sum(axis=0))
+    median = float(np.searchsorted(cumulative, 0.5 * cumulative[-1]) + 0.5) / float(_PER_BIN)
+    return _Normal(H, sums[_HESSIAN : _HESSIAN + UNKNOWNS], cost, seen / total if total > 0 else 0.0, 1.4826 * median)
 
 
 def align(
@@ -331,35 +367,36 @@ def align(
 
     Levels from ``coarsest`` (None: the smallest both have) down to ``finest`` are used in turn.
     """
-    threads = get_num_threads()
     free = np.arange(UNKNOWNS) if options.exposure else np.arange(6)
     top = min(len(reference.levels), len(frame)) - 1
     first = top if coarsest is None else min(coarsest, top)
-    T = renormalise(T_fr)
+    state = _State(renormalise(T_fr), gain, offset)
     count, converged, costs = 0, False, []
-    H, cost, seen = np.zeros((UNKNOWNS, UNKNOWNS)), np.inf, 0.0
+    now = _Normal(np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS), np.inf, 0.0, np.inf)
     for step, level_index in enumerate(range(first, min(finest, first) - 1, -1)):
         level, image = reference.levels[level_index], frame[level_index]
+
+        def evaluate(s: _State, huber: float, level: ReferenceLevel = level, image: F32 = image) -> _Normal:
+            return _normal_equations(level, image, reference.code, s, huber, options.exposure)
+
         limit = options.iterations[min(step, len(options.iterations) - 1)]
         damping, converged = 1e-4, False
-        H, b, cost, seen = _normal_equations(level, image, reference.code, T, gain, offset, options, threads)
+        huber = max(options.huber * evaluate(state, 1.0).sigma, options.huber_min)
+        now = evaluate(state, huber)
         for _ in range(limit):
-            if not np.isfinite(cost) or len(level.value) < 50:
+            if not np.isfinite(now.cost) or len(level.value) < 50:
                 break
             count += 1
-            Hf = H[np.ix_(free, free)]
+            Hf = now.H[np.ix_(free, free)]
             A = Hf + damping * np.diag(np.diag(Hf)) + 1e-9 * np.trace(Hf) / len(free) * np.eye(len(free))
             try:
-                x = np.linalg.solve(A, b[free])
+                x = np.linalg.solve(A, now.b[free])
             except np.linalg.LinAlgError:
                 break
-            # J x ~ r for the reference's own motion x; the frame's motion is its inverse.
-            T_new = renormalise(T @ invert_pose(se3_exp(x[:6])))
-            gain_new, offset_new = (gain + x[6], offset + x[7]) if options.exposure else (gain, offset)
-            trial = _normal_equations(level, image, reference.code, T_new, gain_new, offset_new, options, threads)
-            if trial[2] < cost and trial[3] > 0.5 * seen:
-                T, gain, offset = T_new, gain_new, offset_new
-                H, b, cost, seen = trial
+            moved = state.moved(x)
+            trial = evaluate(moved, huber)
+            if trial.cost < now.cost and trial.seen > 0.5 * now.seen:
+                state, now = moved, trial
                 damping = max(damping * 0.2, 1e-7)
             else:
                 damping *= 20
@@ -369,5 +406,7 @@ def align(
             if np.linalg.norm(x[:3]) < options.step_m and np.linalg.norm(x[3:6]) < options.step_rad:
                 converged = True
                 break
-        costs.append(cost)
-    return Alignment(T, cost, seen, count, converged, H[:6, :6], gain, offset, costs)
+        costs.append(now.cost)
+    return Alignment(
+        state.T, now.cost, now.sigma, now.seen, count, converged, now.H[:6, :6], state.gain, state.offset, costs
+    )

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
@@ -21,18 +22,26 @@ from panobench.splat.kernel_options import PARALLEL
 
 @dataclass(frozen=True)
 class BundleOptions:
-    """cell_px: one pixel, that with the largest gradient, per cell; huber: as in alignment."""
+    """cell_px: one pixel, that with the largest gradient, per cell. huber, cut: residuals, in robust standard
+    deviations at the start, where the cost turns linear and where a residual (an occlusion, say) stops counting;
+    sigma_min: least standard deviation assumed (of 1). depth_edge: as in alignment.
+    """
 
-    cell_px: int = 4
+    cell_px: int = 3
     gradient_min: float = 0.01
     latitude_limit_deg: float = 75.0
     iterations: int = 15
-    huber: float = 0.03
+    huber: float = 1.0
+    cut: float = 20.0
+    sigma_min: float = 0.002
+    depth_edge: float = 1.1
 
 
 @njit(**PARALLEL)
-def _residuals(value, rays, log_depth, frames, R, t, code, cam, huber, Hpd, Hdd, bd, Hpp, bp, cost):  # type: ignore[no-untyped-def]
-    """Normal equations of every pixel. Hpd (P, F, 6), Hdd, bd (P,), Hpp (P, F, 21), bp (P, F, 6), cost (P,)."""
+def _residuals(value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size):  # type: ignore[no-untyped-def]
+    """Normal equations of every pixel. Hpd (P, F, 6), Hdd, bd (P,), Hpp (P, F, 21), bp (P, F, 6), cost (P,),
+    size (P, F): |residual|, NaN where unseen.
+    """
     for p in prange(len(value)):
         d = np.exp(log_depth[p])
         hdd, b, c = 0.0, 0.0, 0.0
@@ -42,18 +51,25 @@ def _residuals(value, rays, log_depth, frames, R, t, code, cam, huber, Hpd, Hdd,
                 Hpd[p, f, i], bp[p, f, i] = 0.0, 0.0
             for i in range(21):
                 Hpp[p, f, i] = 0.0
+            size[p, f] = np.nan
             qx = d * (R[f, 0, 0] * rays[p, 0] + R[f, 0, 1] * rays[p, 1] + R[f, 0, 2] * rays[p, 2])
             qy = d * (R[f, 1, 0] * rays[p, 0] + R[f, 1, 1] * rays[p, 1] + R[f, 1, 2] * rays[p, 2])
             qz = d * (R[f, 2, 0] * rays[p, 0] + R[f, 2, 1] * rays[p, 1] + R[f, 2, 2] * rays[p, 2])
             x, y, z = qx + t[f, 0], qy + t[f, 1], qz + t[f, 2]
             u, v, ok = to_pixel(np.float32(x), np.float32(y), np.float32(z), code, cam)
             if not ok:
+                c += huber * (cut - 0.5 * huber)
                 continue
             r = sample(image, u, v, code) - value[p]
             h = np.float32(0.5)
             gx = sample(image, u + h, v, code) - sample(image, u - h, v, code)
             gy = sample(image, u, v + h, code) - sample(image, u, v - h, code)
             if not (abs(r) + abs(gx) + abs(gy) < 10):
+                c += huber * (cut - 0.5 * huber)
+                continue
+            size[p, f] = abs(r)
+            if abs(r) > cut:
+                c += huber * (cut - 0.5 * huber)
                 continue
             if code == 0:
                 a, e = cam[0] / (2 * np.pi), cam[1] / np.pi
@@ -93,6 +109,8 @@ def select_pixels(
     usable = np.isfinite(luma) & np.isfinite(depth) & (depth > 0)
     usable &= np.abs(rays[..., 1]) < np.sin(np.deg2rad(options.latitude_limit_deg))
     strength = np.where(usable & (strength >= options.gradient_min), strength, 0)
+    near, far = cv2.erode(depth, np.ones((3, 3))), cv2.dilate(depth, np.ones((3, 3)))
+    strength = np.where(far < options.depth_edge * near, strength, 0)
     c = options.cell_px
     h, w = luma.shape[0] // c * c, luma.shape[1] // c * c
     cells = strength[:h, :w].reshape(h // c, c, w // c, c).transpose(0, 2, 1, 3).reshape(h // c, w // c, c * c)
@@ -126,15 +144,21 @@ def refine(
 
     def linearise(T: NDArray[np.float64], s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
         Hpd, bp, Hpp = np.empty((n, F, 6)), np.empty((n, F, 6)), np.empty((n, F, 21))
-        Hdd, bd, cost = np.empty(n), np.empty(n), np.empty(n)
+        Hdd, bd, cost, size = np.empty(n), np.empty(n), np.empty(n), np.empty((n, F), np.float32)
         R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
-        _residuals(value, r, s, frames, R, t, code, cam, options.huber, Hpd, Hdd, bd, Hpp, bp, cost)
-        return Hpd.reshape(n, 6 * F), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), cost
+        _residuals(value, r, s, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size)
+        return Hpd.reshape(n, 6 * F), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), cost, size
 
+    huber = cut = 10.0
+    size = linearise(T, s)[6]
+    if not np.isfinite(size).any():
+        return T_fr, np.inf
+    sigma = max(1.4826 * float(np.nanmedian(size)), options.sigma_min)
+    huber, cut = options.huber * sigma, options.cut * sigma
     state = linearise(T, s)
     cost, damping = float(state[5].sum()), 1e-3
     for _ in range(options.iterations):
-        Hpd, Hdd, bd, Hpp, bp, _c = state
+        Hpd, Hdd, bd, Hpp, bp = state[:5]
         H = np.zeros((6 * F, 6 * F))
         for f in range(F):
             block = np.zeros((6, 6))

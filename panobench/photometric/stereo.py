@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.photometric.planar import depth_information, planar_filter
 from panobench.photometric.pyramid import F32
-from panobench.photometric.sweep import pick_shell, semi_global, smooth_cost, sweep_cost
+from panobench.photometric.sweep import pick_shell, prefer_early, semi_global, smooth_cost, sweep_cost
 from panobench.photometric.warp import camera_code
 
 
@@ -27,6 +27,9 @@ class SweepOptions:
     p1: float = 0.001
     p2: float = 0.02
     edge: float = 20.0
+    half_min: int = 2
+    half_ratio: float = 0.6
+    half_margin: float = 0.004
     planar_radius: int = 12
     planar_stride: int = 2
     planar_luma: float = 0.05
@@ -76,9 +79,22 @@ def multi_view_depth(
     depths = np.exp(np.log(near) + step * np.arange(o.shells)).astype(np.float32)
     T = T_fr.astype(np.float32)
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
-    cost = np.empty((*scale.valid.shape, o.shells), np.float32)
-    sweep_cost(luma, scale.rays, images, R, t, depths, scale.code, scale.cam, np.float32(o.truncation), cost)
-    cost = smooth_cost(cost, o.sigma_px, wrap)
+
+    def costs(first: int, last: int) -> F32:
+        out = np.empty((*scale.valid.shape, o.shells), np.float32)
+        sweep_cost(
+            luma, scale.rays, images, R, t, depths, scale.code, scale.cam, np.float32(o.truncation), first, last, out
+        )
+        return out
+
+    n, half = len(images), len(images) // 2
+    if half >= o.half_min:
+        early, late = costs(0, half), costs(half, n)
+        cost = (early * np.float32(half / n)) + late * np.float32(1 - half / n)
+        cost, early, late = (smooth_cost(c, o.sigma_px, wrap) for c in (cost, early, late))
+        prefer_early(cost, early, late, np.float32(o.half_ratio), np.float32(o.half_margin))
+    else:
+        cost = smooth_cost(costs(0, n), o.sigma_px, wrap)
     guide = np.nan_to_num(luma)
     total = semi_global(cost, guide, np.float32(o.p1), np.float32(o.p2), np.float32(o.edge), wrap)
     depth, confidence = np.empty(scale.valid.shape, np.float32), np.empty(scale.valid.shape, np.float32)

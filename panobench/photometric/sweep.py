@@ -16,15 +16,15 @@ from panobench.splat.kernel_options import JIT, PARALLEL
 
 
 @njit(**PARALLEL)
-def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, out):  # type: ignore[no-untyped-def]
-    """Mean truncated |I_f - I_r| per shell.
+def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, first, last, out):  # type: ignore[no-untyped-def]
+    """Mean truncated |I_f - I_r| per shell over the frames ``first`` to ``last`` - 1.
 
     reference (H, W) luma; rays (H, W, 3) float32; frames (F, H, W); R (F, 3, 3), t (F, 3): frame from reference
     camera; depths (D,) radial. out (H, W, D); samples outside a frame's view cost nothing and do not count, and a
     pixel no frame sees costs half the truncation everywhere.
     """
     h, w = reference.shape
-    n_depths, n_frames = len(depths), frames.shape[0]
+    n_depths = len(depths)
     for y in prange(h):
         hits = np.empty(n_depths, np.float32)
         for x in range(w):
@@ -34,7 +34,7 @@ def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, out
                 hits[k] = np.float32(0)
             value = reference[y, x]
             if value == value:
-                for f in range(n_frames):
+                for f in range(first, last):
                     rx = R[f, 0, 0] * rays[y, x, 0] + R[f, 0, 1] * rays[y, x, 1] + R[f, 0, 2] * rays[y, x, 2]
                     ry = R[f, 1, 0] * rays[y, x, 0] + R[f, 1, 1] * rays[y, x, 1] + R[f, 1, 2] * rays[y, x, 2]
                     rz = R[f, 2, 0] * rays[y, x, 0] + R[f, 2, 1] * rays[y, x, 1] + R[f, 2, 2] * rays[y, x, 2]
@@ -49,6 +49,21 @@ def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, out
                                 hits[k] += np.float32(1)
             for k in range(n_depths):
                 cost[k] = cost[k] / hits[k] if hits[k] > 0 else np.float32(0.5) * truncation
+
+
+@njit(**PARALLEL)
+def prefer_early(cost, early, late, ratio, margin):  # type: ignore[no-untyped-def]
+    """Where the frames contradict each other, believe one half of them: occlusion comes or goes along a track.
+
+    cost, early, late (H, W, D): of all frames and of either half. A pixel takes a half's costs where the best shell
+    of that half beats ratio x the best of all by ``margin``; ``cost`` is changed in place. (Kang, Szeliski & Chai,
+    "Handling occlusions in dense multi-view stereo", 2001, select frames likewise.)
+    """
+    for y in prange(cost.shape[0]):
+        for x in range(cost.shape[1]):
+            a, e, l = cost[y, x].min(), early[y, x].min(), late[y, x].min()
+            if min(e, l) < ratio * a - margin:
+                cost[y, x] = early[y, x] if e <= l else late[y, x]
 
 
 @njit(**JIT)

@@ -69,6 +69,7 @@ def _forward_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
     p2x, p2y = p[3], p[4]
     mx, my, mz, o = p[6], p[7], p[8], p[9]
     cr, cg, cb, cd = p[10], p[11], p[12], p[13]
+    d1, d2 = p[18], p[19]
     for j in range(n):
         i = lo + j
         x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
@@ -88,7 +89,7 @@ def _forward_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
         buf[i + _R] += w * cr
         buf[i + _G] += w * cg
         buf[i + _B] += w * cb
-        buf[i + _D] += w * cd
+        buf[i + _D] += w * (cd + d1 * t1 + d2 * t2)
         buf[i + _T] = T - w
 
 

@@ -27,7 +27,7 @@ TILE_W = 16
 TILE_H = 8
 
 #: Columns of the packed instance array, see ``project``.
-PACK = 18
+PACK = 20
 #: Columns of the gradient moments, see ``blend_backward``.
 MOMENTS = 12
 

@@ -195,12 +195,14 @@ def side_extent(m, reach, sin_reach, axis, focal, centre, size):  # type: ignore
 @njit(**PARALLEL)
 def project(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logits, colours, R_cw, t_cw, code, bound, intr, pixel_angle, low_pass, near,
-    packed, rows, cols, key,
+    sloped, packed, rows, cols, key,
 ):  # fmt: skip
     """Project N Gaussians; writes one packed row each and key = distance (-1: not visible).
 
     packed columns: 0-2 p1, 3-5 p2, 6-8 m, 9 opacity, 10-12 colour, 13 distance, 14 largest |t|^2 that still
-    gives alpha >= 1/255, 15 column of the mean (first-order ERP), 16 cos and 17 sin of the angular radius.
+    gives alpha >= 1/255, 15 column of the mean (first-order ERP), 16 cos and 17 sin of the angular radius,
+    18, 19 change of distance per unit of t: the mean of the distance given the direction, which on a Gaussian
+    flattened along a wall is the wall's (zero unless ``sloped``: then every pixel gets the centre's distance).
     rows (N, 2), cols (N, 2): first and last pixel row and column; columns may run past the edge of a panorama.
     """
     W, H = intr[0], intr[1]
@@ -218,6 +220,7 @@ def project(  # type: ignore[no-untyped-def]
         q_cut = 2.0 * np.log(o / ALPHA_MIN)
         C = camera_covariance(axes_in_camera(quats[k], log_scales[k], R_cw))
         p = packed[k]
+        p[18], p[19] = 0.0, 0.0
         if code == SPHERE:
             m = (mu[0] / dist, mu[1] / dist, mu[2] / dist)
             e, s = tangent_basis(m)
@@ -229,6 +232,9 @@ def project(  # type: ignore[no-untyped-def]
                 p[i] = w00 * e[i] + w01 * s[i]
                 p[3 + i] = w11 * s[i]
                 p[6 + i] = m[i]
+            if sloped:
+                ce, cs = dot(m, Ce) / dist, dot(m, Cs) / dist
+                p[18], p[19] = w00 * ce + w01 * cs, w11 * cs
             spread = 0.5 * (S00 + S11) + np.sqrt(max(0.25 * (S00 - S11) ** 2 + S01 * S01, 0.0))
             offset = min(np.sqrt(q_cut * spread), OFFSET_MAX)
             reach = _atan2_bound(offset, 1.0)
@@ -266,6 +272,9 @@ def project(  # type: ignore[no-untyped-def]
             p[3], p[4], p[5] = 0.0, w11, -w11 * v
             p[6], p[7], p[8] = 0.0, 0.0, 1.0
             p[15], p[16], p[17] = u, 0.0, 1.0
+            if sloped:
+                c0, c1 = dot(mu, C0) / dist, dot(mu, C1) / dist
+                p[18], p[19] = w00 * c0 + w01 * c1, w11 * c1
             ru, rv = np.sqrt(q_cut * S00) + 1e-3, np.sqrt(q_cut * S11) + 1e-3
             rows[k, 0] = max(int(np.ceil(max(v - rv, -1.0) - 0.5)), 0)
             rows[k, 1] = min(int(np.floor(min(v + rv, H + 1.0) - 0.5)), int(H) - 1)

@@ -92,6 +92,7 @@ class _Scene:
     done: NDArray[np.int32]
     tiles: NDArray[np.int32]
     out: RenderOutput
+    sloped: bool
 
 
 class Renderer:
@@ -128,9 +129,15 @@ class Renderer:
         T_wc: NDArray[np.float64],
         *,
         count_touched: bool = False,
+        sloped: bool = False,
         tiles: NDArray[np.int32] | None = None,
     ) -> RenderOutput:
-        """Render from camera-to-world pose ``T_wc``; ``tiles`` restricts it to those tiles (others stay black)."""
+        """Render from camera-to-world pose ``T_wc``; ``tiles`` restricts it to those tiles (others stay black).
+
+        ``sloped``: depth follows each Gaussian's own surface across its footprint instead of being its centre's
+        everywhere, which is biased to the near side where footprints overlap on an oblique wall (the mean of
+        distance given direction; compare Zhang et al., "RaDe-GS", 2024). Such depth has no backward pass.
+        """
         v = self.view
         T_cw = invert_pose(T_wc)
         R_cw, t_cw = np.ascontiguousarray(T_cw[:3, :3]), np.ascontiguousarray(T_cw[:3, 3])
@@ -140,7 +147,7 @@ class Renderer:
         project.project(
             gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.colours,
             R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, self.low_pass, self.near,
-            packed, rows, cols, key,
+            sloped, packed, rows, cols, key,
         )  # fmt: skip
         order = project.radix_order(key)
         packed, rows, cols = project.gather(order, packed, rows, cols)
@@ -162,7 +169,7 @@ class Renderer:
             touched = np.zeros(n, np.int32)
             touched[order] = counts.sum(axis=0)
         out = RenderOutput(planes, depth, opacity, touched, order)
-        self._scene = _Scene(gaussians, R_cw, t_cw, packed, rows, starts, entries, done, tiles, out)
+        self._scene = _Scene(gaussians, R_cw, t_cw, packed, rows, starts, entries, done, tiles, out, sloped)
         return out
 
     def backward(
@@ -172,6 +179,8 @@ class Renderer:
         s, v = self._scene, self.view
         if s is None:
             raise RuntimeError("backward() needs a forward() first")
+        if d_depth is not None and s.sloped:
+            raise ValueError("sloped depth has no gradient: render without sloped=True to differentiate depth")
         dc = np.ascontiguousarray(d_colour if planar else np.moveaxis(d_colour, -1, 0), dtype=np.float32)
         dd = _NO_2D if d_depth is None else np.ascontiguousarray(d_depth, dtype=np.float32)
         do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)

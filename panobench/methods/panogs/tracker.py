@@ -91,7 +91,7 @@ class Tracker:
             iterations += a.iterations
         for k in range(max(self.config.tracking_renders, 1)):
             known = k > 0 or self.reference is not None
-            render = self.renderer.forward(gaussians, T, count_touched=True)
+            render = self.renderer.forward(gaussians, T, count_touched=True, sloped=True)
             self.reference, self.T_reference = self.make_reference(render, len(frame)), T
             a = align(self.reference, frame, np.eye(4), self.options, coarsest=1 if known else None)
             T = renormalise(T @ invert_pose(a.T_fr))
