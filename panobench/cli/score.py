@@ -14,7 +14,7 @@ app = typer.Typer()
 @app.command()
 def score(
     runs: Annotated[list[Path], typer.Argument(help="Run folders, or folders that contain them.")],
-    align: Annotated[str, typer.Option(help="auto (Sim(3), SE(3) if metric), sim3, se3 or none.")] = "auto",
+    align: Annotated[str, typer.Option(help="auto (Sim(3)), sim3, se3 or none.")] = "auto",
     min_tracked: Annotated[float, typer.Option(help="Share of frames a run must have tracked.")] = 0.9,
     max_ate: Annotated[float, typer.Option(help="ATE in metres above which a run has failed.")] = 3.0,
     skip: Annotated[float, typer.Option(help="Leave out the first seconds.")] = 0.0,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3, umeyama
-from panobench.types import Estimate, Trajectory
+from panobench.types import Trajectory
 
 #: Closer times are the same frame.
 SAME_TIME_S = 1e-6
@@ -39,11 +39,11 @@ def moves(positions: NDArray[np.float64]) -> bool:
     return len(positions) > 1 and float(np.ptp(positions, axis=0).max()) > 1e-6
 
 
-def world_alignment(matched: Matched, estimate: Estimate) -> Sim3:
+def world_alignment(matched: Matched) -> Sim3:
     """Takes the estimate's world onto the true one, orientations included; for rendering from true poses.
 
     The rotation is the chordal mean of R_true R_estimated^T over all frames: unlike the one from positions
-    alone it is well defined on a straight path. Scale (1 for metric methods) and translation then follow by
+    alone it is well defined on a straight path. Scale and translation then follow by
     least squares from the positions.
     """
     relative = matched.truth.T_wc[:, :3, :3] @ np.swapaxes(matched.estimate.T_wc[:, :3, :3], 1, 2)
@@ -52,7 +52,7 @@ def world_alignment(matched: Matched, estimate: Estimate) -> Sim3:
     source, target = matched.estimate.positions @ R.T, matched.truth.positions
     s0, t0 = source - source.mean(axis=0), target - target.mean(axis=0)
     spread = float((s0**2).sum())
-    scale = 1.0 if estimate.metric or spread < 1e-12 else float((s0 * t0).sum()) / spread
+    scale = 1.0 if spread < 1e-12 else float((s0 * t0).sum()) / spread
     if scale <= 0:
-        return umeyama(matched.estimate.positions, matched.truth.positions, with_scale=not estimate.metric)
+        return umeyama(matched.estimate.positions, matched.truth.positions)
     return Sim3(scale, R, target.mean(axis=0) - scale * source.mean(axis=0))

@@ -11,6 +11,7 @@ METRICS: tuple[MetricSpec, ...] = (
         keys={
             "ate_rmse_m": "lower",
             "ate_keyframes_rmse_m": "lower",
+            "ate_se3_rmse_m": "lower",
             "ate_rotation_rmse_deg": "lower",
             "rpe_trans_rmse_m": "lower",
             "rpe_rotation_rmse_deg": "lower",

@@ -137,7 +137,7 @@ def novel_views(data: MetricInput, judge: FrameJudge, means: Means) -> None:
     if matched is None or len(matched) < 3:
         data.notes["novel_psnr_db"] = "novel views need three tracked frames with ground truth"
         return
-    to_map = world_alignment(matched, data.estimate).inverse()
+    to_map = world_alignment(matched).inverse()
     for number, view in enumerate(views):
         render = judge.render(view.camera, to_map.apply_poses(view.T_wc))
         if render is None:

@@ -19,7 +19,7 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
         data.notes["ate_rmse_m"] = "no ground truth" if data.sequence.groundtruth is None else "no tracked frame"
         return {}
     values: dict[str, float | None] = {"path_length_m": matched.truth.path_length()}
-    how = data.alignment if data.alignment != "auto" else ("se3" if estimate.metric else "sim3")
+    how = data.alignment if data.alignment != "auto" else "sim3"
     aligned = align(matched, how)
     if aligned is None:
         data.notes["ate_rmse_m"] = "fewer than three poses, or a camera that does not move: alignment is undefined"
@@ -29,6 +29,8 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
     values["rpe_trans_rmse_m"] = _rpe(aligned, "translation_part")
     values["rpe_rotation_rmse_deg"] = _rpe(aligned, "rotation_angle_deg")
     values["scale"] = aligned.scale
+    if estimate.metric and how == "sim3" and (rigid := align(matched, "se3")) is not None:
+        values["ate_se3_rmse_m"] = _ape(rigid, "translation_part")
     keyframes = _keyframes(matched, data)
     aligned_keyframes = align(keyframes, how) if keyframes is not None else None
     if aligned_keyframes is not None:

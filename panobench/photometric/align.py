@@ -35,7 +35,8 @@ class AlignOptions:
     """iterations: most per level, coarsest first (the last repeats). huber: residual where the cost turns linear, in
     robust standard deviations of the level's residuals at its start, at least huber_min (of 1): with a fixed
     threshold the few strong edges, where interpolation and occlusion err, outvote weakly textured walls.
-    depth_edge: pixels whose four neighbours span a larger ratio of depths are left out. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v) is ill-suited there).
+    depth_edge: pixels whose four neighbours span a larger ratio of depths are left out. latitude_limit_deg: rows
+    nearer the poles are left out (alignment in (u, v) is ill-suited there).
     step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
     """
 
@@ -209,7 +210,9 @@ def make_reference(
         if level:
             luma, depth = halve(luma), _halve_depth(depth, 1.3)
         parameters = halved(cam, level)
-        points, jacobian, value, weight = _select(luma, depth, code, parameters, sin_limit, options.gradient_min, options.depth_edge)
+        points, jacobian, value, weight = _select(
+            luma, depth, code, parameters, sin_limit, options.gradient_min, options.depth_edge
+        )
         out.append(ReferenceLevel(points, jacobian, value, weight, parameters))
     return Reference(out, code)
 

@@ -142,7 +142,7 @@ def refine(
     s, T = np.log(depth[ys, xs].astype(np.float64)), T_fr.copy()
     upper = np.triu_indices(6)
 
-    def linearise(T: NDArray[np.float64], s: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    def linearise(T: NDArray[np.float64], s: NDArray[np.float64]) -> tuple[NDArray, ...]:
         Hpd, bp, Hpp = np.empty((n, F, 6)), np.empty((n, F, 6)), np.empty((n, F, 21))
         Hdd, bd, cost, size = np.empty(n), np.empty(n), np.empty(n), np.empty((n, F), np.float32)
         R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])

@@ -171,7 +171,8 @@ def _alignment(document: Mapping[str, Any], protocol: str) -> str:
     for word, alignment in (("sim3", "Sim(3)"), ("se3", "SE(3)"), ("none", "none")):
         if f"align={word}" in protocol:
             return alignment
-    return "SE(3)" if document.get("metric") else "Sim(3)"
+    rigid = document.get("metric") and protocol.split("+")[0] == "1.0"  # protocol 1.0 kept the scale of metric methods
+    return "SE(3)" if rigid else "Sim(3)"
 
 
 def _mapping(value: Any) -> dict[str, Any]:

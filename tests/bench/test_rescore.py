@@ -25,7 +25,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_the_same_protocol_gives_the_same_numbers(folder: Path) -> None:
     before, after = read_run_json(folder), rescore(folder, Protocol())
-    assert after["protocol"] == before["protocol"] == "1.0"
+    assert after["protocol"] == before["protocol"] == "1.1"
     assert after["status"] == "ok"
     for key, value in before["metrics"].items():
         if isinstance(value, float):
@@ -37,7 +37,7 @@ def test_another_protocol_gives_other_numbers(folder: Path) -> None:
     free = rescore(folder, Protocol())["metrics"]
     rigid = rescore(folder, Protocol(alignment="se3"))
     raw = rescore(folder, Protocol(alignment="none"))["metrics"]
-    assert rigid["protocol"] == "1.0+align=se3"
+    assert rigid["protocol"] == "1.1+align=se3"
     assert free["ate_rmse_m"] < rigid["metrics"]["ate_rmse_m"] < raw["ate_rmse_m"]
     assert rigid["metrics"]["scale"] == 1.0
     late = rescore(folder, Protocol(skip_s=0.55))["metrics"]
@@ -45,7 +45,7 @@ def test_another_protocol_gives_other_numbers(folder: Path) -> None:
     assert late["path_length_m"] < free["path_length_m"]
     strict = rescore(folder, Protocol(failed_ate_m=0.001))
     assert strict["status"] == "lost"
-    assert strict["rescored_from"] == {"protocol": "1.0", "status": "ok"}
+    assert strict["rescored_from"] == {"protocol": "1.1", "status": "ok"}
 
 
 def test_failed_runs_stay_failed(tmp_path: Path) -> None:
@@ -81,8 +81,8 @@ def test_impossible_protocols() -> None:
 def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert panobench(["score", str(tmp_path), "--align", "se3", "--out", str(tmp_path / "new")]) == 0
     assert " -> " in capsys.readouterr().out
-    assert read_run_json(tmp_path / "new" / "run")["protocol"] == "1.0+align=se3"
-    assert read_run_json(folder)["protocol"] == "1.0"
+    assert read_run_json(tmp_path / "new" / "run")["protocol"] == "1.1+align=se3"
+    assert read_run_json(folder)["protocol"] == "1.1"
     assert (tmp_path / "new" / "run" / "trajectory.tum").read_bytes() == (folder / "trajectory.tum").read_bytes()
     assert panobench(["score", str(folder), "--max-ate", "0.001", "--in-place", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["after"]["status"] == "lost"

@@ -25,6 +25,7 @@ class PanogsConfig:
     keyframe_min_rel: float = 0.05
     keyframe_max_rel: float = 0.08
     keyframe_interval: int = 5
+    keyframe_new: float = 0.04
     # Gaussians
     pixels_per_gaussian: float = 4.0
     insert_opacity: float = 0.5
@@ -32,6 +33,7 @@ class PanogsConfig:
     sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
     sweep_share: float = 0.01  # of the image that must be new for a sweep
     sweep_frames: int = 8
+    carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong
     depth_guided: bool = True  # False: the "w/o DGIS" ablation
     flatten: float = 0.15
     scale_factor: float = 0.55
@@ -46,7 +48,9 @@ class PanogsConfig:
     pose_rate_translation_rel: float = 2e-4
     position_rate_rel: float = 1e-3
     scale_rate: float = 0.04
-    rotation_rate: float = 0.03
+    rotation_rate: float = 0.06
+    lift: float = 0.2  # factors on the rates of leaving the disc's plane and of tilting it
+    tilt: float = 0.1
     opacity_rate: float = 0.1
     colour_rate: float = 0.02
     loss_knee: float = 0.05
@@ -63,6 +67,8 @@ class PanogsConfig:
 #: The paper's solver, iterations and projection.
 PAPER: dict[str, Any] = {
     "projection": "erp",
+    "keyframe_new": 1.0,
+    "carve": False,
     "sweep": False,
     "solver": "adam",
     "tracking_iterations": 15,
@@ -72,7 +78,9 @@ PAPER: dict[str, Any] = {
     "low_pass": 0.3,
     "position_rate_rel": 1.6e-4,
     "scale_rate": 1e-3,
-    "rotation_rate": 1e-3,
+    "rotation_rate": 2e-3,
+    "lift": 1.0,
+    "tilt": 1.0,
     "opacity_rate": 0.05,
     "colour_rate": 2.5e-3,
     "loss_knee": 0.0,

@@ -31,8 +31,14 @@ def is_keyframe(
     distance_rel: float,
     frames_since: int,
     window_full: bool,
+    new_share: float = 0.0,
 ) -> bool:
-    """The rule of section 5 of docs/panogs.md. ``distance_rel``: translation from the last keyframe / median depth."""
+    """The rule of section 5 of docs/panogs.md. ``distance_rel``: translation from the last keyframe / median depth.
+
+    Not MonoGS's: a frame of which ``new_share`` is unknown to the map, or drawn wrong, is a keyframe at once.
+    """
+    if new_share > config.keyframe_new and frames_since >= 2:
+        return True
     common = overlap(visible, last_visible)
     if not window_full:
         return (

@@ -15,6 +15,9 @@ from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
 from panobench.splat.render import Renderer, RenderOutput
 
+#: Of the swept depth: anything nearer is taken to stand in front of the surface.
+_CARVE_BEFORE = 0.85
+
 
 class Mapper:
     """Owns the map, its optimiser and the views it is fitted to."""
@@ -52,7 +55,10 @@ class Mapper:
         """
         wanted = self.thin(render)
         if swept is not None:
-            wanted |= self.wrong(view, render)
+            wrong = self.wrong(view, render)
+            wanted |= wrong
+            if self.config.carve:
+                self.carve(view, wrong, swept)
         pixels = equal_area_pixels(self.camera, self.count, self.rng)
         x, y = pixels[:, 0].astype(np.intp), pixels[:, 1].astype(np.intp)
         pixels = pixels[wanted[np.minimum(y, self.camera.height - 1), x % self.camera.width]]
@@ -69,6 +75,23 @@ class Mapper:
             guessed = np.ones(known.shape, bool)
         depth = np.where(guessed, depth * (1 + noise * self.rng.standard_normal(depth.shape)), depth)
         return self._seed(view, depth.astype(np.float32), pixels)
+
+    def carve(self, view: View, wrong: NDArray[np.bool_], swept: F32) -> int:
+        """Drop what stands well in front of the swept surface where the map's colour is wrong; returns how many.
+
+        New Gaussians behind such leftovers would never be seen.
+        """
+        points = (self.map.means - view.position) @ view.T_wc[:3, :3]
+        distance = np.linalg.norm(points, axis=1)
+        pixels, valid = self.camera.project(points / np.maximum(distance, 1e-9)[:, None])
+        x = np.clip(np.nan_to_num(pixels[:, 0]).astype(np.intp), 0, self.camera.width - 1)
+        y = np.clip(np.nan_to_num(pixels[:, 1]).astype(np.intp), 0, self.camera.height - 1)
+        return self._drop(valid & wrong[y, x] & (distance < _CARVE_BEFORE * swept[y, x]))
+
+    def local_depth(self, render: RenderOutput) -> float:
+        """Median rendered depth, from every fourth row and column; the first map's where nothing is drawn."""
+        depth = render.depth[::4, ::4][render.opacity[::4, ::4] > 0.5]
+        return float(np.median(depth)) if depth.size else self.median_depth
 
     def thin(self, render: RenderOutput) -> NDArray[np.bool_]:
         """(H, W): valid pixels whose rendered opacity is below the insertion threshold."""
@@ -140,8 +163,9 @@ class Mapper:
     def rates(self) -> LearningRates:
         c = self.config
         return LearningRates(
-            c.position_rate_rel * self.median_depth, c.scale_rate, c.rotation_rate, c.opacity_rate, c.colour_rate
-        )
+            c.position_rate_rel * self.median_depth, c.scale_rate, c.rotation_rate, c.opacity_rate, c.colour_rate,
+            c.lift, c.tilt,
+        )  # fmt: skip
 
     def prune(self) -> int:
         """Drop Gaussians that faded, grew huge or stopped being finite; returns how many."""
@@ -149,11 +173,14 @@ class Mapper:
         logit = np.log(self.config.prune_opacity / (1 - self.config.prune_opacity))
         keep = (g.opacity_logits > logit) & (g.log_scales.max(axis=1) < np.log(0.3 * self.median_depth))
         keep &= np.isfinite(g.means).all(axis=1) & np.isfinite(g.log_scales).all(axis=1)
-        dropped = int(np.count_nonzero(~keep))
+        return self._drop(~keep)
+
+    def _drop(self, gone: NDArray[np.bool_]) -> int:
+        dropped, keep = int(np.count_nonzero(gone)), ~gone
         if dropped:
-            self.map, self.born = g.select(keep), self.born[keep]
+            self.map, self.born = self.map.select(keep), self.born[keep]
             self.adam.select(keep)
-            for view in [*self.window, *self.keyframes]:
+            for view in {id(v): v for v in [*self.window, *self.keyframes]}.values():
                 if view.touched is not None and len(view.touched) <= len(keep):
                     view.touched = view.touched[keep[: len(view.touched)]]
         return dropped

@@ -107,7 +107,8 @@ class PanogsMethod(OnlineMethod):
         self.recent.add(self.tracker.pyramid, tracked.T_wc)
         anchor = self.mapper.window[0]
         self.records[frame.index] = _Record(frame.time, anchor, invert_pose(anchor.T_wc) @ tracked.T_wc)
-        numbers = {
+        numbers = self.numbers.setdefault(frame.index, {})
+        numbers |= {
             "tracking_s": time.perf_counter() - began,
             "loss": tracked.cost,
             "iterations": float(tracked.iterations),
@@ -117,7 +118,6 @@ class PanogsMethod(OnlineMethod):
             keyframe = self._map(frame, tracked)
             numbers["keyframe"] = float(keyframe)
         numbers["mapping_s"] = time.perf_counter() - began - numbers["tracking_s"]
-        self.numbers[frame.index] = numbers
 
     def _map(self, frame: Frame, tracked: Tracked) -> bool:
         """Keyframe decision; for a keyframe insertion, optimisation and pruning."""
@@ -127,22 +127,25 @@ class PanogsMethod(OnlineMethod):
         assert seen is not None
         assert last_seen is not None
         view = View(frame.index, frame.image, tracked.T_wc, touched=seen)
-        distance = float(np.linalg.norm(view.position - last.position)) / m.median_depth
+        unknown = m.thin(tracked.render) | m.wrong(view, tracked.render)
+        new_share = float(m.weights[unknown].sum())
+        local = m.local_depth(tracked.render)
+        distance = float(np.linalg.norm(view.position - last.position)) / local
+        self.numbers.setdefault(frame.index, {})["new_share"] = new_share
         if not is_keyframe(
             self.config, seen > 0, last_seen > 0, distance, frame.index - last.index,
-            len(m.window) >= self.config.window,
+            len(m.window) >= self.config.window, new_share,
         ):  # fmt: skip
             m.frames.append(view)
             return False
         swept = None
-        if (
-            self.config.sweep
-            and np.mean(m.thin(tracked.render) | m.wrong(view, tracked.render)) > self.config.sweep_share
-        ):
-            swept = self.recent.sweep(0.1 * m.median_depth, 15.0 * m.median_depth, m.median_depth)
+        if self.config.sweep and new_share > self.config.sweep_share:
+            swept = self.recent.sweep(0.1 * local, 15.0 * local, local)
+        before = len(m.map)
         m.insert(view, tracked.render, swept)
+        grown = (len(m.map) - before) / m.count
         m.add_keyframe(view, update_window(m.window, view, self.config.window))
-        m.optimise(self.config.mapping_iterations)
+        m.optimise(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
         m.prune()
         record = self.records[frame.index]
         record.anchor, record.relative = view, np.eye(4)
