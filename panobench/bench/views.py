@@ -51,10 +51,6 @@ class ChosenFrames(Sequence):
     def imu(self) -> Imu | None:
         return self._inner.imu
 
-    @property
-    def body_T_cam(self) -> NDArray[np.float64] | None:
-        return self._inner.body_T_cam
-
     def novel_views(self) -> list[NovelView]:
         return self._inner.novel_views()
 
@@ -87,7 +83,7 @@ class BlindSequence(Sequence):
     def __init__(self, sequence: Sequence, holdout: frozenset[int] = frozenset(), imu: Imu | None = None) -> None:
         self.name, self.dataset, self.camera = sequence.name, sequence.dataset, sequence.camera
         self.times = sequence.times.copy()
-        self._imu, self._body_T_cam = imu, sequence.body_T_cam
+        self._imu = imu
         self._read: Callable[[int], Frame] = lambda index: read_frame(sequence, index, index not in holdout)
 
     def image(self, index: int) -> NDArray[np.uint8]:
@@ -99,10 +95,6 @@ class BlindSequence(Sequence):
     @property
     def imu(self) -> Imu | None:
         return self._imu
-
-    @property
-    def body_T_cam(self) -> NDArray[np.float64] | None:
-        return self._body_T_cam
 
     def frames(self) -> Iterator[Frame]:
         for index in range(len(self)):

@@ -48,11 +48,7 @@ class Sequence(ABC):
 
     @property
     def imu(self) -> Imu | None:
-        return None
-
-    @property
-    def body_T_cam(self) -> NDArray[np.float64] | None:
-        """Pose (4, 4) of the camera in the axes of ``imu``'s samples, if the dataset has both."""
+        """Inertial samples, and where the camera sits in their axes, or None."""
         return None
 
     def novel_views(self) -> list[NovelView]:

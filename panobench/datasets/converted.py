@@ -53,14 +53,7 @@ class ConvertedSequence(Sequence):
     @property
     def imu(self) -> Imu | None:
         imu = self.source.imu
-        if imu is None or imu.T_body_cam is None:
-            return imu
-        return replace(imu, T_body_cam=self.reprojector.poses(imu.T_body_cam))
-
-    @property
-    def body_T_cam(self) -> NDArray[np.float64] | None:
-        T = self.source.body_T_cam
-        return None if T is None else self.reprojector.poses(T)
+        return None if imu is None else seen_from(imu, self.reprojector)
 
     def novel_views(self) -> list[NovelView]:
         """The source's novel views, those of the source's kind of camera reprojected like its frames.
@@ -109,6 +102,12 @@ class ConvertedSequence(Sequence):
                 "source_shrunk_by": self.reprojector.sampling.shrink,
             },
         }
+
+
+def seen_from(imu: Imu, reprojector: Reprojector) -> Imu:
+    """The same samples, with the place of the reprojector's target camera on the body."""
+    T_body_cam = np.eye(4) if imu.T_body_cam is None else imu.T_body_cam
+    return replace(imu, T_body_cam=reprojector.poses(T_body_cam))
 
 
 def with_valid(camera: Camera, valid: NDArray[np.bool_]) -> Camera:

@@ -23,7 +23,7 @@ from panobench.cameras.factory import CameraChoice
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import Sequence
 from panobench.datasets.checksums import sha256_bytes
-from panobench.datasets.converted import with_valid
+from panobench.datasets.converted import seen_from, with_valid
 from panobench.datasets.images import encode_depth, encode_image
 from panobench.datasets.writer import SequenceWriter, finished_as
 from panobench.errors import DatasetError
@@ -156,9 +156,7 @@ class Exporter:
         if truth is not None:
             keep = np.isin(truth.times, self.sequence.times[self.indices])
             truth = Trajectory(truth.times[keep], reprojector.poses(truth.T_wc[keep]))
-        body_T_cam = self.sequence.body_T_cam
-        if body_T_cam is not None:
-            body_T_cam = reprojector.poses(body_T_cam)
+        imu = None if self.sequence.imu is None else seen_from(self.sequence.imu, reprojector)
         meta: dict[str, Any] = {
             "source": self.sequence.provenance(),
             "conversion": {
@@ -166,14 +164,13 @@ class Exporter:
                 "target_T_source": make_pose(reprojector.R_target_source, np.zeros(3)).tolist(),
                 "every": self.options.every,
             },
-            "body_T_cam": None if body_T_cam is None else body_T_cam.tolist(),
         }
         novel = [
             NovelView(v.name, reprojector.image(v.image), writer.camera, reprojector.poses(v.T_wc))
             for v in self.sequence.novel_views()
             if v.camera == self.sequence.camera
         ]
-        writer.finish(groundtruth=truth, imu=self.sequence.imu, novel=novel, meta=meta)
+        writer.finish(groundtruth=truth, imu=imu, novel=novel, meta=meta)
 
     def _fingerprint(self, target: Target) -> dict[str, Any]:
         """What must be equal for a partial or finished sequence to be the one asked for."""

@@ -9,13 +9,14 @@ same camera apart from the trajectory), ``meta.json``.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from panobench.cameras.base import Camera
-from panobench.cameras.calibration import read_calibration
+from panobench.cameras.calibration import Calibration, inspect_calibration
 from panobench.datasets.base import Dataset, Sequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import read_image, read_mask
@@ -91,13 +92,15 @@ class Folder(Dataset):
 
 
 def _read(folder: Path, name: str) -> ImageSource:
-    camera = read_calibration(folder / "camera.yaml")
+    calibration = inspect_calibration(folder / "camera.yaml")
+    camera = calibration.camera
     frames_path = folder / "frames.csv"
     times, images = _read_frames(frames_path, folder)
     inputs = [folder / "camera.yaml", frames_path]
     mask_path, truth_path, imu_path = folder / "mask.png", folder / "groundtruth.tum", folder / "imu.csv"
-    if camera.mask is None and mask_path.is_file():
-        camera = camera.with_mask(read_mask(mask_path, (camera.width, camera.height)))
+    if mask_path.is_file():
+        mask = read_mask(mask_path, (camera.width, camera.height))
+        camera = camera.with_mask(mask if camera.mask is None else mask & camera.mask)
     present = {p.name: p for p in (folder / "depth").iterdir()} if (folder / "depth").is_dir() else {}
     depth = {}
     for index, image in enumerate(images):
@@ -113,12 +116,22 @@ def _read(folder: Path, name: str) -> ImageSource:
         times=times,
         images=images,
         groundtruth=groundtruth_at(truth_path, times) if truth_path.is_file() else None,
-        imu=read_imu_csv(imu_path) if imu_path.is_file() else None,
+        imu=_read_imu(imu_path, calibration, meta) if imu_path.is_file() else None,
         depth=depth,
         inputs=(*inputs, *(p for p in (mask_path, truth_path, imu_path) if p.is_file())),
         notes={"meta": meta} if meta else {},
-        body_T_cam=_pose_note(meta, folder / "meta.json"),
         novel=lambda: _read_novel(folder, camera),
+    )
+
+
+def _read_imu(path: Path, calibration: Calibration, meta: dict[str, Any]) -> Imu:
+    """imu.csv on the camera's clock; where the camera sits on the body, meta.json says, or else camera.yaml."""
+    imu = read_imu_csv(path)
+    pose = _pose_note(meta, path.with_name("meta.json"))
+    return replace(
+        imu,
+        times=imu.times - (calibration.time_offset_s or 0.0),
+        T_body_cam=calibration.body_T_cam if pose is None else pose,
     )
 
 

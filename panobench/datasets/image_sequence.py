@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,6 @@ class ImageSource:
     inputs: tuple[Path, ...] = ()
     notes: Mapping[str, Any] = field(default_factory=dict)
     novel: Callable[[], list[NovelView]] | None = None
-    body_T_cam: NDArray[np.float64] | None = None
 
 
 def check_sizes(images: list[Path], expected: tuple[int, int] | None = None) -> tuple[int, int]:
@@ -121,12 +120,7 @@ class ImageSequence(Sequence):
 
     @property
     def imu(self) -> Imu | None:
-        imu = self.source.imu
-        return None if imu is None else replace(imu, T_body_cam=self.source.body_T_cam)
-
-    @property
-    def body_T_cam(self) -> NDArray[np.float64] | None:
-        return self.source.body_T_cam
+        return self.source.imu
 
     def novel_views(self) -> list[NovelView]:
         if self.source.novel is None:

@@ -76,10 +76,6 @@ class PalvioBagSequence(Sequence):
     def imu(self) -> Imu | None:
         return self._imu
 
-    @property
-    def body_T_cam(self) -> NDArray[np.float64] | None:
-        return self.calibration.body_T_cam
-
     def provenance(self) -> dict[str, Any]:
         return {
             "dataset": self.dataset,
@@ -262,7 +258,7 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
     truth_path, imu_path = folder / "groundtruth.tum", folder / "imu.csv"
     imu = read_imu_csv(imu_path) if imu_path.is_file() else None
     if imu is not None:
-        imu = Imu(imu.times - calibration.time_offset_s, imu.gyro, imu.accel)
+        imu = replace(imu, times=imu.times - calibration.time_offset_s, T_body_cam=calibration.body_T_cam)
     return ImageSource(
         dataset="palvio",
         name=name,
@@ -274,5 +270,4 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
         imu=imu,
         inputs=tuple(p for p in (truth_path, imu_path) if p.is_file()),
         notes=_notes(calibration),
-        body_T_cam=calibration.body_T_cam,
     )

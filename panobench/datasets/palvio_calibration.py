@@ -1,7 +1,7 @@
 """PALVIO's calibration: the annular camera with its mask, where it sits on the body, topics and time offset.
 
-The extrinsics and topics are facts of the public LF-VIO repository (Wang et al., "LF-VIO", IROS 2022); the camera is
-the built-in ``palvio_up``, which the published evaluations use. A ``palvio.yaml`` beside the data replaces any of them.
+The numbers are those of the built-in ``palvio_up``, the camera that the published evaluations use; the topics are facts
+of the same public LF-VIO repository (Wang et al., "LF-VIO", IROS 2022). A ``palvio.yaml`` beside the data replaces any.
 """
 
 from __future__ import annotations
@@ -15,18 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.cameras.calibration import builtin_calibration, inspect_calibration
+from panobench.cameras.calibration import inspect_builtin, inspect_calibration
 from panobench.errors import CalibrationError
-from panobench.geometry import make_pose, renormalise
+from panobench.geometry import renormalise
 
 Array = NDArray[np.float64]
 
-_BODY_R_CAM = [
-    [-1.7258e-4, -0.0512844, 0.9986841],
-    [-0.9997760, 0.0211430, 9.1296e-4],
-    [-0.0211620, -0.9984603, -0.0512766],
-]
-_BODY_T_CAM = [0.0920902, 3.6525e-5, -0.0503303]
 OVERRIDE = "palvio.yaml"
 _TOPICS = ("image_topic", "imu_topic", "groundtruth_topic")
 
@@ -41,7 +35,7 @@ class PalvioCalibration:
 
     camera: Camera
     body_T_cam: Array
-    time_offset_s: float = -0.008
+    time_offset_s: float
     image_topic: str = "/mindvision/mindvision/left/image_mono"
     imu_topic: str = "/mavros/imu/data"
     groundtruth_topic: str = "/vicon/pal/pal"
@@ -51,7 +45,10 @@ class PalvioCalibration:
 @lru_cache(maxsize=1)
 def published_calibration() -> PalvioCalibration:
     """The 'up' camera's calibration, mask and extrinsics."""
-    return PalvioCalibration(builtin_calibration("palvio_up"), renormalise(make_pose(_BODY_R_CAM, _BODY_T_CAM)))
+    found = inspect_builtin("palvio_up")
+    assert found.body_T_cam is not None
+    assert found.time_offset_s is not None
+    return PalvioCalibration(found.camera, found.body_T_cam, found.time_offset_s)
 
 
 def find_calibration(folder: Path) -> PalvioCalibration:

@@ -62,7 +62,7 @@ def _read(folder: Path, name: str) -> ImageSource:
         native = native.with_mask(read_mask(mask, (native.width, native.height)))
     truth_path = next((folder / p for p in _TRUTHS if (folder / p).is_file()), None)
     imu_path = folder / "mav0/imu0/data.csv"
-    imu = _read_imu(imu_path, calibration.time_offset_s or 0.0) if imu_path.is_file() else None
+    imu = _read_imu(imu_path, calibration) if imu_path.is_file() else None
     inputs = [p for p in (calibration_path, truth_path, imu_path) if p is not None and p.is_file()]
     return ImageSource(
         dataset="tum-vi",
@@ -75,7 +75,6 @@ def _read(folder: Path, name: str) -> ImageSource:
         imu=imu,
         inputs=tuple(inputs),
         notes={"evaluated_frame": "camera 0", "calibration_notes": calibration.notes},
-        body_T_cam=calibration.body_T_cam,
     )
 
 
@@ -106,12 +105,12 @@ def _image_list(cam: Path) -> tuple[NDArray[np.float64], list[Path]]:
     return times, images
 
 
-def _read_imu(path: Path, time_offset_s: float) -> Imu:
+def _read_imu(path: Path, calibration: Calibration) -> Imu:
     expected = "time in ns, wx, wy, wz, ax, ay, az"
     table, lines = read_table(path, 7, expected, delimiter=",", header=True)
-    times = table[:, 0] * 1e-9 - time_offset_s
+    times = table[:, 0] * 1e-9 - (calibration.time_offset_s or 0.0)
     check_times(times, path, lines)
-    return Imu(times, table[:, 1:4].copy(), table[:, 4:7].copy())
+    return Imu(times, table[:, 1:4].copy(), table[:, 4:7].copy(), calibration.body_T_cam)
 
 
 def _camera_truth(path: Path, times: NDArray[np.float64], calibration: Calibration, source: Path) -> Trajectory | None:

@@ -186,7 +186,10 @@ class SequenceWriter:
         if self.camera.mask is not None:
             files["mask.png"] = encode_image(self.camera.mask, ".png")
         checksums |= {name: sha256_bytes(data) for name, data in files.items()}
-        about = {"format": FORMAT_VERSION, "what": self.fingerprint, **(meta or {}), "checksums": checksums}
+        about = {"format": FORMAT_VERSION, "what": self.fingerprint, **(meta or {})}
+        if imu is not None and imu.T_body_cam is not None:
+            about["body_T_cam"] = imu.T_body_cam.tolist()
+        about["checksums"] = checksums
         files["meta.json"] = (json.dumps(about, indent=1) + "\n").encode()
         with writing(self.partial, CONTINUES):
             for name, data in files.items():

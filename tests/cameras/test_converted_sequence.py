@@ -30,6 +30,7 @@ class Toy(Sequence):
     def __init__(self, camera: Camera) -> None:
         self.camera = camera
         self.times = np.array([0.0, 0.5, 1.0])
+        self.T_body_cam: NDArray[np.float64] | None = make_pose(so3_exp([0.1, 0.2, 0.3]), [1.0, 0, 0])
         rng = np.random.default_rng(0)
         self.truth = Trajectory(self.times, make_pose(so3_exp(rng.normal(size=(3, 3))), rng.normal(size=(3, 3))))
 
@@ -48,11 +49,7 @@ class Toy(Sequence):
 
     @property
     def imu(self) -> Imu:
-        return Imu(self.times, np.zeros((3, 3)), np.ones((3, 3)))
-
-    @property
-    def body_T_cam(self) -> NDArray[np.float64]:
-        return make_pose(so3_exp([0.1, 0.2, 0.3]), [1.0, 0, 0])
+        return Imu(self.times, np.zeros((3, 3)), np.ones((3, 3)), self.T_body_cam)
 
     def novel_views(self) -> list[NovelView]:
         small = ErpCamera(128, 64)
@@ -86,11 +83,14 @@ def test_everything_moves_into_the_new_camera() -> None:
     assert truth is not None
     assert np.array_equal(truth.times, source.times)
     assert np.allclose(truth.T_wc, source.truth.T_wc @ make_pose(R.T, np.zeros(3)))
-    assert converted.imu is not None
-    body_T_cam = converted.body_T_cam
-    assert body_T_cam is not None
-    # The body does not move: body pose = camera pose times the inverse of body_T_cam.
-    assert np.allclose(truth.T_wc @ np.linalg.inv(body_T_cam), source.truth.T_wc @ np.linalg.inv(source.body_T_cam))
+    # The body does not move: body pose = camera pose times the inverse of T_body_cam. None: body and camera are one.
+    for T_body_cam in (source.T_body_cam, None):
+        source.T_body_cam = T_body_cam
+        imu = converted.imu
+        assert imu is not None
+        assert imu.T_body_cam is not None
+        body = source.truth.T_wc @ (np.eye(4) if T_body_cam is None else np.linalg.inv(T_body_cam))
+        assert np.allclose(truth.T_wc @ np.linalg.inv(imu.T_body_cam), body)
     assert converted.provenance()["root"] == "nowhere"
     assert converted.provenance()["conversion"]["camera"]["model"] == "pinhole"
 

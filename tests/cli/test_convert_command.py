@@ -235,7 +235,7 @@ def test_palvio_to_erp(tmp_path: Path) -> None:
     sequence = open_sequence("folder", "ID01", out)
     room = open_sequence("synpano", "devroom", bag.parents[1] / "synpano", 512)
     assert sequence.imu is not None
-    assert sequence.body_T_cam is not None
+    assert sequence.imu.T_body_cam is not None
     valid = sequence.camera.valid_mask()
     for k in range(3):
         grey = room.image(12 * k).astype(float) @ [0.299, 0.587, 0.114]

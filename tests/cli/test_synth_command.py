@@ -26,7 +26,7 @@ def test_a_bag_holds_the_frames_asked_for_where_the_panoramas_were(tmp_path: Pat
     assert made.groundtruth is not None
     np.testing.assert_allclose(made.groundtruth.positions, true[:5, :3, 3], atol=1e-3)
     assert made.imu is not None
-    assert made.body_T_cam is not None
+    assert made.imu.T_body_cam is not None
 
 
 def test_the_seed_decides_the_noise(tmp_path: Path) -> None:

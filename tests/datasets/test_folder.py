@@ -61,6 +61,23 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert half.camera.valid_mask().shape == (16, 32)
 
 
+def test_a_calibration_written_by_hand_counts_with_all_it_says(tmp_path: Path) -> None:
+    """A mask.png that the file does not name is used besides the file's own ring; pose and clock apply to imu.csv."""
+    write(tmp_path / "seq")
+    (tmp_path / "seq/camera.yaml").write_text(
+        "model: erp\nwidth: 64\nheight: 32\nannulus: {centre: [32, 16], r_min: 4, r_max: 30}\ntime_offset_s: 0.25\n"
+        "body_T_cam: [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
+    )
+    sequence = Folder(tmp_path).open()
+    valid = sequence.camera.valid_mask()
+    ring = np.hypot(*(sequence.camera.pixel_grid() - [32, 16]).transpose(2, 0, 1))
+    np.testing.assert_array_equal(valid, (ring >= 4) & (ring <= 30) & np.asarray(camera().mask))
+    assert sequence.imu is not None
+    np.testing.assert_allclose(sequence.imu.times, [0.25, 0.255])
+    assert sequence.imu.T_body_cam is not None
+    assert sequence.imu.T_body_cam[0, 3] == 0.5
+
+
 def test_novel_views_round_trip(tmp_path: Path) -> None:
     views = [NovelView(f"v{k}", panorama(7 + k), camera(), poses(3)[k]) for k in range(2)]
     write_sequence(tmp_path / "seq", camera(), frames(), novel=views)

@@ -182,8 +182,8 @@ def test_tum_vi(tmp_path: Path) -> None:
     np.testing.assert_allclose(sequence.groundtruth.T_wc, true, atol=2e-5)
     assert sequence.imu is not None
     np.testing.assert_array_equal(sequence.imu.accel[0], [4, 5, 6])
-    assert sequence.body_T_cam is not None
-    np.testing.assert_allclose(sequence.body_T_cam, BODY_T_CAM, atol=1e-9)
+    assert sequence.imu.T_body_cam is not None
+    np.testing.assert_allclose(sequence.imu.T_body_cam, BODY_T_CAM, atol=1e-9)
 
 
 def test_bad_tum_vi(tmp_path: Path) -> None:

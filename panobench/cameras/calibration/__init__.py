@@ -3,6 +3,7 @@
 from panobench.cameras.calibration.dispatch import (
     FORMATS,
     builtin_calibration,
+    inspect_builtin,
     inspect_calibration,
     read_calibration,
     require_size,
@@ -14,6 +15,7 @@ __all__ = [
     "FORMATS",
     "Calibration",
     "builtin_calibration",
+    "inspect_builtin",
     "inspect_calibration",
     "read_calibration",
     "require_size",

@@ -64,11 +64,16 @@ def write_calibration(camera: Camera, path: Path | str, format: str = "panobench
 
 
 def builtin_calibration(name: str) -> Camera:
-    """A calibration that comes with the package: palvio_up or palvio_down. Raises UnknownNameError."""
+    """The camera of a calibration that comes with the package: palvio_up or palvio_down. Raises UnknownNameError."""
+    return inspect_builtin(name).camera
+
+
+def inspect_builtin(name: str) -> Calibration:
+    """As ``builtin_calibration``, with extrinsics and time offset."""
     known = sorted(p.stem for p in _DATA.glob("*.yaml"))
     if name not in known:
         raise UnknownNameError("built-in calibration", name, known)
-    return read_calibration(_DATA / f"{name}.yaml", "panobench")
+    return inspect_calibration(_DATA / f"{name}.yaml", "panobench")
 
 
 def require_size(camera: Camera, width: int, height: int, path: Path | str | None = None) -> None:
