@@ -72,12 +72,14 @@ class DatasetSpec(Spec):
     """A dataset adapter; the implementation is a ``Dataset`` subclass.
 
     publisher and layout are shown when the data are not found: who publishes it, what is expected where.
-    needs_root: False for generators.
+    camera: the kind of camera of all its sequences, "" where it depends; with it a sequence that must be converted is
+    opened once, at full resolution. needs_root: False for generators.
     """
 
     kind: ClassVar[str] = "dataset"
     publisher: str = ""
     layout: str = ""
+    camera: str = ""
     needs_root: bool = True
 
 

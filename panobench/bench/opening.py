@@ -17,7 +17,7 @@ from panobench.depth.base import DepthEstimator
 from panobench.errors import UnavailableError, UnsupportedError, UsageError
 from panobench.methods.base import BatchMethod, OnlineMethod
 from panobench.plugins import registry
-from panobench.specs import CameraSpec, DepthSpec, MethodSpec
+from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec
 
 DEFAULT_DEPTH = "bootstrap"
 
@@ -95,8 +95,7 @@ def check_camera(option: str, spec: MethodSpec) -> None:
 
 def open_input(request: RunRequest, spec: MethodSpec | None = None) -> ChosenFrames:
     """The sequence through the camera asked for, the frames chosen."""
-    source = open_source(request, None if _converts(request) else request.width)
-    sequence = as_camera(source, request)
+    sequence = _through_camera(request)
     if spec is not None and sequence.camera.kind not in spec.cameras:
         raise UnsupportedError(
             f"method '{spec.name}' does not take {sequence.camera.kind} images; it takes {', '.join(spec.cameras)}"
@@ -111,20 +110,19 @@ def open_source(request: RunRequest, width: int | None) -> Sequence:
     return open_sequence(request.dataset, request.sequence, request.root, width)
 
 
-def _converts(request: RunRequest) -> bool:
-    """Whether the option asks for more than a kind of camera; a kind alone may be the dataset's own."""
-    return request.fov is not None or ":" in request.camera or "." in request.camera
-
-
-def as_camera(source: Sequence, request: RunRequest) -> Sequence:
+def _through_camera(request: RunRequest) -> Sequence:
     """The sequence itself if its camera is the one asked for, else converted from its full resolution."""
-    if not _converts(request) and source.camera.kind == request.camera:
-        return source
+    # A kind of camera alone may be the dataset's own; anything more has to be made.
+    kind = registry().get(DatasetSpec, request.dataset).camera
+    own = request.fov is None and not set(":.") & set(request.camera) and request.camera == (kind or request.camera)
+    if own:
+        source = open_source(request, request.width)
+        if source.camera.kind == request.camera:
+            return source
     from panobench.cameras.factory import parse_camera_option
     from panobench.datasets.converted import ConvertedSequence
 
-    if not _converts(request):
-        source = open_source(request, None)
+    source = open_source(request, None)
     choice = parse_camera_option(request.camera, source.camera, request.width, request.fov)
     return ConvertedSequence(source, choice.camera, choice.R_target_source)
 

@@ -11,6 +11,7 @@ import shutil
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -101,17 +102,24 @@ class Exporter:
         """Write every target that is not finished yet. What was done stays for the next call if this one fails."""
         pending = [k for k, finished in enumerate(self.finished) if not finished]
         progress(len(self.indices) * (len(self.targets) - len(pending)))
-        writers = {
-            k: SequenceWriter(
-                self.targets[k].path,
-                self.camera(k),
-                image_format=self.options.image_format,
-                fingerprint=self._fingerprints[k],
-            )
-            for k in pending
-        }
+        with ExitStack() as stack:
+            writers = {k: stack.enter_context(closing(self._writer(k))) for k in pending}
+            self._write_frames(writers, progress)
+            for k, writer in writers.items():
+                self._finish(k, writer)
+        return [t.path for t in self.targets]
+
+    def _writer(self, k: int) -> SequenceWriter:
+        return SequenceWriter(
+            self.targets[k].path,
+            self.camera(k),
+            image_format=self.options.image_format,
+            fingerprint=self._fingerprints[k],
+        )
+
+    def _write_frames(self, writers: dict[int, SequenceWriter], progress: Progress) -> None:
         progress(sum(len(w.done) for w in writers.values()))
-        todo = {i: [k for k in pending if i not in writers[k].done] for i in self.indices}
+        todo = {i: [k for k, writer in writers.items() if i not in writer.done] for i in self.indices}
         with ThreadPoolExecutor(max_workers=self.options.workers) as pool:
             running: deque[Future[None]] = deque()
             try:
@@ -130,9 +138,6 @@ class Exporter:
                 for future in running:
                     future.cancel()
                 raise
-        for k, writer in writers.items():
-            self._finish(k, writer)
-        return [t.path for t in self.targets]
 
     def _write_one(
         self,

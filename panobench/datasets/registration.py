@@ -10,6 +10,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         publisher="the SynPano authors (the synthetic benchmark of the PanoGS-SLAM paper)",
         layout="SCENE/images/*.{png,jpg} (2:1), SCENE/groundtruth.txt with rows 'frame_id image_name x y z qx qy qz "
         "qw' in Blender camera axes, optional SCENE/depth/<stem>.{npy,png} and SCENE/novel/",
+        camera="erp",
     ),
     DatasetSpec(
         "folder",
@@ -25,6 +26,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "panobench.datasets.video:Video",
         publisher="you",
         layout="FILE.mp4, or FOLDER/NAME.mp4 with --sequence NAME; optional NAME.mask.png (white = valid)",
+        camera="erp",
     ),
     DatasetSpec(
         "palvio",
@@ -35,12 +37,14 @@ DATASETS: tuple[DatasetSpec, ...] = (
         layout="ID01.bag ... ID10.bag (ROS 1: /mindvision/mindvision/left/image_mono, /mavros/imu/data, "
         "/vicon/pal/pal), or extracted ID01/images/<nanoseconds>.png with optional groundtruth.tum "
         "(body poses) and imu.csv",
+        camera="pal",
     ),
     DatasetSpec(
         "rooms",
         "built-in furnished rooms, ray cast with exact poses and depth",
         "panobench.datasets.rooms.dataset:RoomsDataset",
         needs_root=False,
+        camera="erp",
     ),
     DatasetSpec(
         "tum-vi",
@@ -57,6 +61,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         publisher="Huang and Yeung, 360VO (ICRA 2022), HKUST",
         layout="SEQUENCE/images/*.{png,jpg} (2:1), SEQUENCE/groundtruth.txt with rows 'frame_id image_name x y z qx qy "
         "qz qw', x right, y up, z forward",
+        camera="erp",
     ),
     DatasetSpec(
         "360loc",
@@ -64,6 +69,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "panobench.datasets.loc360:Loc360",
         publisher="Huang et al., 360Loc (CVPR 2024), HKUST",
         layout="PLACE/{mapping,query_360}/SEQUENCE/image/*.jpg with camera_pose.json beside image/",
+        camera="erp",
     ),
     DatasetSpec(
         "omniblender",
@@ -72,6 +78,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         publisher="Choi et al., EgoNeRF (CVPR 2023); Ito et al., OB3D (2025)",
         layout="SCENE/images/*.png and SCENE/transform.json (OmniBlender), or SCENE/Egocentric/images/NNNNN_rgb.png "
         "and cameras/NNNNN_cam.json (OB3D)",
+        camera="erp",
     ),
     DatasetSpec(
         "insta360-dual-fisheye",
@@ -80,5 +87,6 @@ DATASETS: tuple[DatasetSpec, ...] = (
         publisher="you",
         layout="FILE.mp4 or FILE.insv with both circles in one frame, and dual_fisheye.yaml (or FILE.dual.yaml) beside "
         "it: lenses: two of {x, y, camera, yaw_pitch_roll_deg}, blend_deg",
+        camera="erp",
     ),
 )

@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
 import shutil
@@ -30,6 +32,7 @@ from panobench.writing import writing
 
 FORMAT_VERSION = 1
 JOURNAL = "journal.jsonl"
+LOCK = ".lock"
 FORMATS = ("png", "jpg")
 CONTINUES = "free some space and run the command again: it continues"
 
@@ -67,7 +70,8 @@ class SequenceWriter:
     """Writes one sequence to ``path`` frame by frame; ``add`` may be called from several threads.
 
     ``fingerprint`` says what is being written (any JSON values): a partial folder with the same one
-    is continued, with another one refused unless ``restart``. Raises UsageError if ``path`` exists.
+    is continued, with another one refused unless ``restart``. Raises UsageError if ``path`` exists, or if another
+    process is writing it. Call ``close`` if ``finish`` is never reached.
     """
 
     def __init__(
@@ -86,14 +90,55 @@ class SequenceWriter:
         self.camera = camera
         self._suffix = "." + image_format
         self._lock = threading.Lock()
+        self._handle: int | None = None
         self._records: dict[int, FrameRecord] = {}
         self.fingerprint = _plain(fingerprint or {})
-        if path.exists():
-            raise UsageError(f"{path} exists already; remove it or choose another --out")
+        self._refuse_finished()
         with writing(self.partial, CONTINUES):
-            if restart and self.partial.exists():
-                shutil.rmtree(self.partial)
-            self._open_journal({"format": FORMAT_VERSION, "what": self.fingerprint})
+            self._hold()
+            try:
+                self._refuse_finished()  # by another process, while we waited
+                if restart:
+                    self._empty()
+                self._open_journal({"format": FORMAT_VERSION, "what": self.fingerprint})
+            except BaseException:
+                self.close()
+                raise
+
+    def _refuse_finished(self) -> None:
+        if self.path.exists():
+            raise UsageError(f"{self.path} exists already; remove it or choose another --out")
+
+    def _hold(self) -> None:
+        """Take the partial folder for this writer; the system frees it when the process ends."""
+        self.partial.mkdir(parents=True, exist_ok=True)
+        handle = os.open(self.partial / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            held = os.path.samestat(os.fstat(handle), os.stat(self.partial / LOCK))
+        except (BlockingIOError, FileNotFoundError):
+            held = False  # another writer has it, or has just finished with it
+        if not held:
+            os.close(handle)
+            raise UsageError(f"{self.path} is being written by another process; wait for it or choose another --out")
+        self._handle = handle
+
+    def close(self) -> None:
+        """Let go of the sequence; an unfinished one stays, to be continued."""
+        if self._handle is None:
+            return
+        (self.partial / LOCK).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.partial.rmdir()  # if nothing was written at all
+        os.close(self._handle)
+        self._handle = None
+
+    def _empty(self) -> None:
+        for child in self.partial.iterdir():
+            if child.is_dir() and not child.is_symlink():
+                shutil.rmtree(child)
+            elif child.name != LOCK:
+                child.unlink()
 
     def _open_journal(self, head: dict[str, Any]) -> None:
         journal = self.partial / JOURNAL
@@ -115,7 +160,7 @@ class SequenceWriter:
             replacement.write_text("\n".join(text) + "\n", encoding="utf-8")
             os.replace(replacement, journal)
         else:
-            if self.partial.exists() and any(self.partial.iterdir()):
+            if any(child.name != LOCK for child in self.partial.iterdir()):
                 raise UsageError(f"{self.partial} is in the way and is no unfinished sequence; remove it")
             (self.partial / "images").mkdir(parents=True)
             journal.write_text(json.dumps(head) + "\n", encoding="utf-8")
@@ -196,7 +241,9 @@ class SequenceWriter:
                 (self.partial / name).parent.mkdir(exist_ok=True)
                 (self.partial / name).write_bytes(data)
             (self.partial / JOURNAL).unlink()
+            (self.partial / LOCK).unlink()
             os.replace(self.partial, self.path)
+        self.close()
         return self.path
 
     def _novel_files(self, views: list[NovelView]) -> dict[str, bytes]:
@@ -274,3 +321,5 @@ def write_sequence(
     except BaseException:
         shutil.rmtree(writer.partial, ignore_errors=True)
         raise
+    finally:
+        writer.close()

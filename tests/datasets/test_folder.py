@@ -169,6 +169,7 @@ def test_resuming_keeps_intact_frames_and_drops_damaged_ones(tmp_path: Path) -> 
     (first.partial / "images/000001.png").write_bytes(b"half writ")
     with (first.partial / "journal.jsonl").open("a") as journal:
         journal.write('{"index": 3, "time"')  # the crash hit here
+    first.close()
     with pytest.raises(UsageError, match="other options"):
         start(every=2)
     second = start(every=1)
@@ -180,6 +181,20 @@ def test_resuming_keeps_intact_frames_and_drops_damaged_ones(tmp_path: Path) -> 
         np.testing.assert_array_equal(sequence.image(i), panorama(i))
     meta = json.loads((tmp_path / "seq/meta.json").read_text())
     assert set(meta["checksums"]) >= {f"images/{i:06d}.png" for i in range(3)} | {"camera.yaml", "mask.png"}
+
+
+def test_two_writers_do_not_meet(tmp_path: Path) -> None:
+    first = SequenceWriter(tmp_path / "seq", camera())
+    first.add(0, 0.0, panorama(0))
+    for restart in (False, True):
+        with pytest.raises(UsageError, match="seq is being written by another process"):
+            SequenceWriter(tmp_path / "seq", camera(), restart=restart)
+    first.close()
+    second = SequenceWriter(tmp_path / "seq", camera())
+    assert second.done == {0}
+    second.finish()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["seq"]
+    assert not [p.name for p in (tmp_path / "seq").iterdir() if p.name.startswith(".")]
 
 
 def test_a_full_disk_is_explained_and_leaves_no_sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
