@@ -54,14 +54,15 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """For people: method[preset, settings] camera dataset/sequence seed."""
+        """For people: method[preset, settings] camera fov depth dataset/sequence seed, without what is default."""
         r = self.request
         chosen = [r.preset] if r.preset else []
         chosen += [f"{k}={v}" for k, v in r.settings.items()]
         method = f"{r.method}[{', '.join(chosen)}]" if chosen else r.method
         place = f"{r.dataset}/{r.sequence}" if r.sequence else r.dataset
         repeat = f" repeat {self.repeat}" if self.repeat else ""
-        return f"{method} {r.camera} {place} seed {r.seed}{repeat}"
+        given = " ".join([r.camera] + ([f"fov {r.fov}"] if r.fov else []) + ([f"depth {r.depth}"] if r.depth else []))
+        return f"{method} {given} {place} seed {r.seed}{repeat}"
 
     @property
     def slug(self) -> str:

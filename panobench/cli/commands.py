@@ -10,6 +10,7 @@ from __future__ import annotations
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("panobench.cli.run", "Run one method on one sequence and store the run."),
     "suite": ("panobench.cli.suite", "Run a matrix of methods, cameras, datasets and seeds; resumable."),
+    "study": ("panobench.cli.study", "Regenerate one of the paper's tables or figures."),
     "report": ("panobench.cli.report", "Write one offline HTML file, or tables, from stored runs."),
     "score": ("panobench.cli.score", "Score stored runs again, under this or another protocol."),
     "compare": ("panobench.cli.compare", "Judge new runs against old ones: a gate against regressions."),

@@ -10,7 +10,9 @@ import typer
 
 
 def report(
-    runs: Annotated[list[Path], typer.Argument(help="Run folders, or folders that contain them (a suite's store).")],
+    runs: Annotated[
+        list[Path], typer.Argument(help="Run folders, or folders that contain them: a suite's store, a study.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write.")] = Path("report.html"),
     format: Annotated[
         str | None,
@@ -43,4 +45,6 @@ def report(
     count = len(collection.runs)
     size = output.stat().st_size
     amount = f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
-    print(f"{output}: {count} run{'s' if count != 1 else ''}, {amount}")
+    studies = len(collection.studies)
+    also = f" and {studies} stud{'ies' if studies != 1 else 'y'}" if studies else ""
+    print(f"{output}: {count} run{'s' if count != 1 else ''}{also}, {amount}")

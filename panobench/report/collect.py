@@ -28,6 +28,7 @@ from panobench.report.model import (
     Problem,
     Run,
 )
+from panobench.studies.stored import STUDY_JSON, StoredStudy, read_study
 from panobench.types import Trajectory
 
 LOG_LINES = 40
@@ -40,20 +41,27 @@ _SUFFIXES = ("jpg", "jpeg", "png", "webp")
 
 
 def collect(paths: Iterable[Path]) -> Collection:
-    """Read every run under ``paths``: run folders, or folders (stores) that contain run folders.
+    """Read every run and study under ``paths``: run folders, or folders (stores, studies) that contain some.
 
     Raises InputError when a path does not exist or nothing readable is found below any of them.
     """
     runs: list[Run] = []
     problems: list[Problem] = []
+    studies: dict[Path, StoredStudy] = {}
     seen: set[Path] = set()
     for path in paths:
         if not path.exists():
             raise InputError("no such file or folder; give run folders or a folder that contains them", path)
         folders = find_runs(path)
         problems += [Problem(p, "set aside by the suite because it could not be read") for p in find_quarantined(path)]
-        if not folders:
-            raise InputError("no run.json here or below; is this a run folder?", path)
+        found = find_studies(path)
+        if not folders and not found:
+            raise InputError("no run.json or study.json here or below; is this a run folder?", path)
+        for folder in found:
+            try:
+                studies[folder.resolve()] = read_study(folder)
+            except InputError as error:
+                problems.append(Problem(folder, str(error)))
         for folder in folders:
             if folder.resolve() in seen:
                 continue
@@ -62,22 +70,31 @@ def collect(paths: Iterable[Path]) -> Collection:
                 runs.append(read_run(folder))
             except (InputError, OSError, ValueError) as error:
                 problems.append(Problem(folder, str(error)))
-    if not runs:
+    if not runs and not studies:
         raise InputError(f"none of the {len(problems)} run folder(s) can be read: {problems[0].message}")
     runs.sort(key=lambda r: (r.dataset, r.sequence, r.method, sorted(r.variant.items()), r.seed or 0, str(r.folder)))
-    return Collection(tuple(runs), tuple(problems))
+    return Collection(tuple(runs), tuple(problems), tuple(studies.values()))
 
 
 def find_runs(path: Path) -> list[Path]:
     """Folders with a run.json at or below ``path``; hidden folders and unfinished ones are not entered."""
     if path.is_file():
         path = path.parent
-    if (path / "run.json").is_file():
+    return _folders_with("run.json", path)
+
+
+def find_studies(path: Path) -> list[Path]:
+    """Folders with a study.json at or below ``path``, as for runs."""
+    return _folders_with(STUDY_JSON, path) if path.is_dir() else []
+
+
+def _folders_with(name: str, path: Path) -> list[Path]:
+    if (path / name).is_file():
         return [path]
     found: list[Path] = []
     for child in sorted(p for p in path.iterdir() if p.is_dir()):
         if not child.name.startswith((".", "_")):
-            found.extend(find_runs(child))
+            found.extend(_folders_with(name, child))
     return found
 
 

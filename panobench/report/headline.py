@@ -26,7 +26,10 @@ class Tile:
 
 
 def default_title(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> str:
-    """ "panogs on room1" for one run, else counts."""
+    """The studies' titles, or "panogs on room1" for one run, else counts."""
+    if collection.studies:
+        titles = [s.result.title or s.result.name for s in collection.studies]
+        return titles[0] if len(titles) == 1 else f"{len(titles)} studies"
     places = collection.places()
     if len(grouped) == 1 and len(places) == 1:
         return f"{next(iter(grouped)).label} on {places[0][1]}"
@@ -35,7 +38,9 @@ def default_title(collection: Collection, grouped: Mapping[Variant, Sequence[Run
 
 
 def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> list[Tile]:
-    """Key figures: of the run when there is one, of the comparison otherwise."""
+    """Key figures: of the run when there is one, of the comparison otherwise; a study speaks for itself."""
+    if collection.studies:
+        return []
     if len(collection.runs) == 1:
         return _run_tiles(collection.runs[0])
     failed = sum(failure(r) is not None for r in collection.runs)
@@ -98,11 +103,12 @@ def measurements(run: Run) -> list[tuple[str, list[tuple[str, str]]]]:
 
 
 def facts(collection: Collection, now: datetime) -> list[tuple[str, str]]:
-    protocols = {str(v) for r in collection.runs if (v := find(r.document, "protocol", "protocol_version"))}
+    documents = [r.document for r in collection.runs] + [{"provenance": s.provenance} for s in collection.studies]
+    protocols = {str(v) for document in documents if (v := find(document, "protocol", "protocol_version"))}
     facts = [("Made", now.strftime("%Y-%m-%d %H:%M UTC")), ("panobench", __version__)]
     if protocols:
         facts.append(("Protocol", ", ".join(sorted(protocols))))
-    machines = {str(v) for r in collection.runs if (v := find(r.document, "cpu"))}
+    machines = {str(v) for document in documents if (v := find(document, "cpu"))}
     if machines:
         facts.append(("Machine", ", ".join(sorted(machines)[:2]) + (" and others" if len(machines) > 2 else "")))
     return facts

@@ -24,8 +24,9 @@ from panobench.report.panoramas import Gallery, copy_map, make_gallery
 from panobench.report.published import Published
 from panobench.report.ranking import RANKING_RULE, failure
 from panobench.report.sections import cost_charts, place_section
+from panobench.report.studies import study_section
 from panobench.report.table_model import Table, natural
-from panobench.report.tables import build_tables
+from panobench.report.tables import run_tables
 from panobench.report.variants import variants
 
 _TEMPLATES = Path(__file__).parent / "templates"
@@ -51,13 +52,15 @@ def build_html(
         for i, place in enumerate(sorted(collection.places(), key=lambda p: (p[0], natural(p[1]))))
     ]
     data["images"], data["links"] = gallery.store, gallery.links
-    tables = build_tables(collection, published)
+    tables = run_tables(collection, published)
+    studies = [study_section(i, study, data) for i, study in enumerate(collection.studies)]
     context = {
         "title": title or default_title(collection, grouped),
         "facts": facts(collection, now or datetime.now(timezone.utc)),
         "tiles": tiles(collection, grouped),
         "tables": tables if len(collection.runs) > 1 else [],
         "measurements": measurements(collection.runs[0]) if len(collection.runs) == 1 else [],
+        "studies": studies,
         "places": places,
         "cost_charts": cost_charts(grouped, data),
         "failures": [(run, failure(run), label_of[id(run)]) for run in collection.runs if failure(run)],

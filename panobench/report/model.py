@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3
+from panobench.studies.stored import StoredStudy
 from panobench.types import Trajectory
 
 Array = NDArray[np.float64]
@@ -137,6 +138,7 @@ class Collection:
 
     runs: tuple[Run, ...]
     problems: tuple[Problem, ...] = ()
+    studies: tuple[StoredStudy, ...] = ()
 
     def places(self) -> list[tuple[str, str]]:
         """Distinct (dataset, sequence), sorted."""

@@ -10,6 +10,7 @@ from panobench.report.accuracy import accuracy_table, flags
 from panobench.report.model import Collection, Run
 from panobench.report.published import Published
 from panobench.report.ranking import failure
+from panobench.report.studies import study_tables
 from panobench.report.table_model import (
     FAILED,
     NOT_AVAILABLE,
@@ -71,7 +72,12 @@ ACCURACY = (
 
 
 def build_tables(collection: Collection, published: Published | None = None) -> list[Table]:
-    """Every table of the report: accuracy per dataset, rendering, cost, and all runs."""
+    """Every table of the report: those of the studies, then accuracy per dataset, rendering, cost, and all runs."""
+    return study_tables(collection.studies) + run_tables(collection, published)
+
+
+def run_tables(collection: Collection, published: Published | None = None) -> list[Table]:
+    """The tables of the runs alone."""
     grouped = variants(collection)
     tables: list[Table] = []
     for dataset in sorted({run.dataset for run in collection.runs}):

@@ -1,26 +1,58 @@
-"""What a study gets and gives back. A study regenerates one table or figure of the paper."""
+"""What a study gets and gives back. A study regenerates a table or figure of the paper."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from panobench.bench.config import override
+
+Options = TypeVar("Options")
+
+
+def _silent(line: str) -> None:
+    pass
 
 
 @dataclass
 class StudyRequest:
-    """quick: under two minutes on two cores. out: folder for runs and results; a second call resumes there."""
+    """out: folder for runs and results; a second call resumes there. quick: under two minutes on two cores.
+
+    options: what `--set` gave, as text. jobs: runs at a time. retry: statuses of stored runs to run again.
+    say: is told the progress, a line at a time.
+    """
 
     out: Path
     quick: bool = False
     options: dict[str, Any] = field(default_factory=dict)
+    jobs: int = 1
+    retry: frozenset[str] = frozenset()
+    say: Callable[[str], None] = _silent
+
+    def choose(self, full: Options, quick: dict[str, Any]) -> Options:
+        """The study's options: the defaults ``full`` (a dataclass), then ``quick`` if asked for, then what was set.
+
+        Raises UnknownNameError or UsageError for options that are none.
+        """
+        chosen = override(full, quick, "quick option") if self.quick else full
+        known: Options = override(chosen, self.options, "study option")
+        return known
 
 
 @dataclass
 class StudyResult:
-    """tables: name -> rows (dicts with the same keys). figures: name -> Plotly figure as a dict. notes: text lines."""
+    """tables: name -> rows (dicts with the same keys). figures: name -> Plotly figure as a dict. notes: text lines.
+
+    A column's key is its heading, for example "ATE [mm] ↓": the unit in brackets, an arrow for what is better. Cells
+    are text, numbers, None (not measured) or "/" (failed); a row with ``"source": "published"`` is set apart.
+    captions: a line of text for a table or figure of that name; its first sentence is the heading.
+    """
 
     name: str
     tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
     figures: dict[str, dict[str, Any]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    title: str = ""
+    captions: dict[str, str] = field(default_factory=dict)

@@ -1,5 +1,6 @@
 PB.plots = (() => {
   const PRINT = { width: 318, height: 240, autosize: false }; // half the width of an A4 page
+  const FIELDS = ["contour", "heatmap", "surface"];
   let loading = null;
   const drawn = new Set();
   const hiddenRuns = new Map();
@@ -35,10 +36,12 @@ PB.plots = (() => {
     const data = figure.data.map(trace => {
       const colour = PB.colour(trace.meta.colour), truth = trace.meta.colour === -1;
       const copy = { ...trace, name: PB.plain(trace.name), visible: !hidden.has(trace.meta.run) };
-      if (trace.text) copy.text = trace.text.map(PB.plain);
-      if (trace.type === "bar") copy.y = trace.y.map(PB.plain);
-      if (trace.line) copy.line = { ...trace.line, color: colour, dash: truth ? "dot" : dashOf(trace, figure) };
-      if ((trace.marker && trace.meta.run !== -3) || trace.type === "bar") copy.marker = { ...trace.marker, color: colour };
+      ["x", "y", "text"].forEach(k => {
+        if (Array.isArray(trace[k])) copy[k] = trace[k].map(v => typeof v === "string" ? PB.plain(v) : v);
+      });
+      if (FIELDS.includes(trace.type)) return copy; // these have colours of their own
+      if (trace.line) copy.line = { dash: truth ? "dot" : dashOf(trace, figure), color: colour, ...trace.line };
+      if ((trace.marker && trace.meta.run !== -3) || trace.type === "bar") copy.marker = { color: colour, ...trace.marker };
       return copy;
     });
     const layout = {

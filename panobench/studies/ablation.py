@@ -1,0 +1,121 @@
+"""The ablation study: PanoGS-SLAM with one part taken out or exchanged at a time (the paper's ablation table)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from panobench.studies.base import StudyRequest, StudyResult
+from panobench.studies.cells import QUICK, RunOptions, mean, median, reasons, run_cells
+from panobench.studies.published import published_table, source_notes
+
+#: Row -> (what it changes in panogs's options, what it changes in the run).
+VARIANTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "PanoGS-SLAM": ({}, {}),
+    "w/o L_pano": ({"loss": "uniform"}, {}),
+    "w L_GS": ({"loss": "gaussian"}, {}),
+    "w/o DGIS": ({"depth_guided": False, "sweep": False}, {"depth": "constant"}),
+    "ERP projection": ({"projection": "erp"}, {}),
+    "Adam tracking": ({"solver": "adam"}, {}),
+}
+METRICS = (
+    ("ATE [cm] ↓", "ate_rmse_m", 100.0, False),
+    ("PSNR [dB] ↑", "psnr_db", 1.0, True),
+    ("SSIM ↑", "ssim", 1.0, True),
+    ("LPIPS ↓", "lpips", 1.0, False),
+    ("Frames/s ↑", "fps", 1.0, True),
+)
+_PAPER = {"ATE [cm] ↓": "ate_cm", "PSNR [dB] ↑": "psnr_db", "SSIM ↑": "ssim", "LPIPS ↓": "lpips"}
+
+
+@dataclass(frozen=True)
+class AblationOptions(RunOptions):
+    """presets: the ablation is made from each of these ("default", "paper")."""
+
+    presets: tuple[str, ...] = ("default", "paper")
+
+
+def run(study: StudyRequest) -> StudyResult:
+    """Averages over the sequences for every variant, and each sequence's ATE."""
+    options = study.choose(AblationOptions(), {**QUICK, "presets": ("default",)})
+    cells = {}
+    for preset in options.presets:
+        for variant, (settings, changes) in variants(preset).items():
+            for sequence in options.sequences:
+                chosen = {"preset": None if preset == "default" else preset, "settings": settings, **changes}
+                cells[preset, variant, sequence] = [options.cell(sequence, s, **chosen) for s in options.seeds]
+    flat = [cell for group in cells.values() for cell in group]
+    results = run_cells(study, "ablation", flat)
+    averages, details = [], []
+    for preset in options.presets:
+        for variant in variants(preset):
+            groups = [cells[preset, variant, s] for s in options.sequences]
+            row: dict[str, Any] = {"Method": variant, "Preset": preset}
+            for heading, key, scale, up in METRICS:
+                row[heading] = mean([median(results, g, key, scale, higher_is_better=up) for g in groups])
+            averages.append({**row, "source": "measured"})
+            detail: dict[str, Any] = {"Method": variant, "Preset": preset}
+            for sequence, group in zip(options.sequences, groups):
+                detail[f"{sequence} [cm] ↓"] = median(results, group, "ate_rmse_m", 100.0)
+            details.append(detail)
+    paper = published_table(options.dataset, "ablation_synpano")
+    for name, figures in paper.items():
+        row = {"Method": name, "Preset": "the paper's", **{heading: None for heading, *_ in METRICS}}
+        row |= {heading: figures[key] for heading, key in _PAPER.items()}
+        averages.append({**row, "source": "published"})
+    tables = {"ablation": averages}
+    if len(options.sequences) > 1:
+        tables["ablation-sequences"] = details
+    notes = [
+        "w/o L_pano: every pixel of the panorama weighs the same. w L_GS: weights fall off from the equator as a "
+        "Gaussian of latitude. w/o DGIS: the map starts from a constant depth, and new Gaussians from the median "
+        "depth. Under the default preset tracking is Gauss-Newton, whose weights stay cos(latitude): there the loss "
+        "changes the mapping only.",
+        *(source_notes(options.dataset) if paper else []),
+        *reasons(results, flat),
+    ]
+    captions = {
+        "ablation": f"Ablation. Mean over {', '.join(options.sequences)}, each the median of its repeats.",
+        "ablation-sequences": "Ablation by sequence. ATE RMSE after alignment.",
+    }
+    return StudyResult("ablation", tables, {"ablation": _figure(details, options)}, notes, "Ablation", captions)
+
+
+def variants(preset: str) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """The variants that differ from ``preset``; the paper's has the ERP projection and Adam already."""
+    if preset != "paper":
+        return VARIANTS
+    other: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+        "Sphere projection": ({"projection": "sphere"}, {}),
+        "Gauss-Newton": ({"solver": "gauss-newton"}, {}),
+    }
+    return {k: v for k, v in VARIANTS.items() if k not in ("ERP projection", "Adam tracking")} | other
+
+
+def _figure(details: list[dict[str, Any]], options: AblationOptions) -> dict[str, Any]:
+    """A marker per variant and sequence on a logarithmic ATE axis."""
+    several = len(options.presets) > 1
+    data = []
+    for k, sequence in enumerate(options.sequences):
+        known = [
+            (f"{row['Method']} ({row['Preset']})" if several else row["Method"], value)
+            for row in details
+            if isinstance(value := row[f"{sequence} [cm] ↓"], float)
+        ]
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": sequence,
+                "meta": {"run": -2, "colour": k},
+                "x": [value for _, value in known],
+                "y": [name for name, _ in known],
+                "marker": {"size": 10},
+            }
+        )
+    layout = {
+        "xaxis": {"title": {"text": "ATE RMSE [cm]"}, "type": "log"},
+        "yaxis": {"autorange": "reversed"},
+        "showlegend": len(options.sequences) > 1,
+    }
+    return {"data": data, "layout": layout}

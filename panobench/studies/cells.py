@@ -1,0 +1,144 @@
+"""What studies made of runs share: options, running cells through the suite's machinery, and one number per cell."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from panobench.bench.cells import Cell, Limits, Planned
+from panobench.bench.request import RunRequest
+from panobench.bench.statistics import summarise
+from panobench.bench.store import Store, Stored
+from panobench.bench.suite import SuiteRunner, make_plan
+from panobench.studies.base import StudyRequest
+from panobench.types import RunStatus
+
+FAILED = "/"
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of every study that runs a method: which, on what, how often, and for how long at most."""
+
+    method: str = "panogs"
+    preset: str | None = None
+    dataset: str = "rooms"
+    root: str | None = None
+    sequences: tuple[str, ...] = ("room1", "room2", "room3", "room4", "room5")
+    seeds: tuple[int, ...] = (0,)
+    width: int = 512
+    max_frames: int | None = None
+    every: int = 1
+    holdout: int = 0
+    depth: str | None = None
+    timeout_s: float = 3600.0
+    memory_gib: float = 8.0
+
+    def request(self, sequence: str, seed: int, **changes: Any) -> RunRequest:
+        """A run of these options; ``changes`` are fields of RunRequest."""
+        chosen = RunRequest(
+            method=self.method,
+            preset=self.preset,
+            dataset=self.dataset,
+            root=self.root,
+            sequence=sequence,
+            seed=seed,
+            width=self.width,
+            max_frames=self.max_frames,
+            every=self.every,
+            holdout=self.holdout,
+            depth=self.depth,
+        )
+        return replace(chosen, **changes)
+
+    def cell(self, sequence: str, seed: int, **changes: Any) -> Cell:
+        limits = Limits(timeout_s=self.timeout_s, memory_gib=self.memory_gib)
+        return Cell(self.request(sequence, seed, **changes), limits=limits)
+
+
+#: A run of the smallest room that still has something to track.
+QUICK: dict[str, Any] = {"sequences": ("tiny",), "width": 128, "max_frames": 24}
+
+
+class _Lines:
+    """A ``Watcher`` that says a line per cell."""
+
+    def __init__(self, study: StudyRequest, total: int, done: int) -> None:
+        self._study, self._total, self._done = study, total, done
+        self._lock = threading.Lock()
+
+    def started(self, planned: Planned) -> None:
+        with self._lock:
+            self._study.say(f"[{self._done + 1}/{self._total}] running {planned.cell.label}")
+
+    def finished(self, planned: Planned, stored: Stored, note: str) -> None:
+        with self._lock:
+            self._done += 1
+            ate = stored.document.get("metrics", {}).get("ate_rmse_m")
+            words = [stored.status] + ([f"ATE {1e3 * ate:.2f} mm"] if isinstance(ate, float) else []) + [note]
+            self._study.say(f"[{self._done}/{self._total}] {' '.join(w for w in words if w)}")
+
+
+def run_cells(study: StudyRequest, name: str, cells: Iterable[Cell]) -> dict[str, Stored]:
+    """Run what the store in ``study.out`` does not hold yet; identity of the cell -> result.
+
+    Every cell ends with a result, be it a failure. Raises OutputError when the store cannot be written.
+    """
+    cells = list(cells)
+    store = Store(study.out)
+    plan = make_plan(cells, store, study.retry)
+    for moved in plan.quarantined:
+        study.say(f"{moved.reason}; moved away: {moved.folder}")
+    lines = _Lines(study, len(plan.rows), len(plan.rows) - len(plan.todo))
+    SuiteRunner(store, f"study-{name}", lines).run(plan, study.jobs)
+    found = {cell.identity: store.check(cell)[0] for cell in cells}
+    return {identity: stored for identity, stored in found.items() if stored is not None}
+
+
+def values(results: dict[str, Stored], cells: Sequence[Cell], key: str) -> list[float | None]:
+    """A metric or timing of each cell, None where it failed; empty when those that succeeded did not measure it."""
+    found: list[float | None] = []
+    for cell in cells:
+        stored = results.get(cell.identity)
+        document = stored.document if stored else {}
+        if document.get("status") != RunStatus.OK.value:
+            found.append(None)
+            continue
+        value = {**document.get("timing", {}), **document.get("metrics", {})}.get(key)
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            return []
+        found.append(float(value))
+    return found
+
+
+def median(
+    results: dict[str, Stored], cells: Sequence[Cell], key: str, scale: float = 1.0, *, higher_is_better: bool = False
+) -> float | str | None:
+    """Over the cells (the repeats of one row on one sequence): "/" when failures decide it, None if not measured."""
+    summary = summarise(values(results, cells, key), higher_is_better=higher_is_better)
+    if summary is None:
+        return None
+    return summary.median * scale if math.isfinite(summary.median) else FAILED
+
+
+def mean(medians: Sequence[float | str | None]) -> float | str | None:
+    """Over sequences: "/" if any of them failed, None if one was not measured or there is none."""
+    if any(m == FAILED for m in medians):
+        return FAILED
+    numbers = [m for m in medians if isinstance(m, float)]
+    return sum(numbers) / len(numbers) if numbers and len(numbers) == len(medians) else None
+
+
+def reasons(results: dict[str, Stored], cells: Iterable[Cell]) -> list[str]:
+    """A line for each cell that did not succeed."""
+    lines = []
+    for cell in cells:
+        stored = results.get(cell.identity)
+        if stored is None:
+            lines.append(f"{cell.label}: not run")
+        elif stored.status != RunStatus.OK.value:
+            lines.append(f"{cell.label}: {stored.status}, {stored.document.get('message', '')}".rstrip(", "))
+    return lines

@@ -1,0 +1,114 @@
+"""The field-of-view study: the same frames, seen through 120, 200, 280 and 360 degrees (the paper's FoV table)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from panobench.studies.base import StudyRequest, StudyResult
+from panobench.studies.cells import FAILED, QUICK, RunOptions, mean, median, reasons, run_cells
+from panobench.studies.published import columns, published_table, source_notes
+
+FULL_TURN = 360.0
+
+
+@dataclass(frozen=True)
+class FovOptions(RunOptions):
+    """fov: horizontal, degrees, of panoramas whose other pixels are invalid. pinhole: also the paper's 120x60 view."""
+
+    fov: tuple[float, ...] = (120.0, 200.0, 280.0, 360.0)
+    pinhole: bool = True
+
+
+def run(study: StudyRequest) -> StudyResult:
+    """ATE per sequence and field of view."""
+    options = study.choose(FovOptions(), QUICK)
+    rows: list[tuple[str, str, dict[str, Any]]] = []
+    if options.pinhole:
+        rows.append(("pinhole", "120° x 60°", {"camera": "pinhole:front", "width": pinhole_width(options.width)}))
+    for degrees in options.fov:
+        rows.append(("panorama", f"{degrees:g}°", {"fov": None if degrees >= FULL_TURN else f"{degrees:g}"}))
+    cells = {
+        (camera, text, sequence): [options.cell(sequence, seed, **changes) for seed in options.seeds]
+        for camera, text, changes in rows
+        for sequence in options.sequences
+    }
+    flat = [cell for group in cells.values() for cell in group]
+    results = run_cells(study, "fov", flat)
+    label = f"{options.method} {options.preset}" if options.preset else options.method
+    table, points = [], []
+    for camera, text, _ in rows:
+        groups = [cells[camera, text, s] for s in options.sequences]
+        errors = [median(results, group, "ate_rmse_m", 100.0) for group in groups]
+        tracked = mean([median(results, group, "tracked", 100.0, higher_is_better=True) for group in groups])
+        row: dict[str, Any] = {"Method": label, "Camera": camera, "FoV": text}
+        row |= {f"{s} [cm] ↓": e for s, e in zip(options.sequences, errors)}
+        table.append({**row, "Mean [cm] ↓": mean(errors), "Tracked [%] ↑": tracked, "source": "measured"})
+        if camera == "panorama":
+            points.append((float(text[:-1]), errors))
+    paper = published_table(options.dataset, "fov_synpano_ate_cm")
+    for name in paper:
+        if name == "sequences" or not any(s in paper["sequences"] for s in options.sequences):
+            continue
+        method, _, angle = name.rpartition(" ")
+        errors = columns(paper, name, options.sequences)
+        row = {"Method": method, "Camera": "pinhole" if method == "MonoGS" else "panorama", "FoV": f"{angle}°"}
+        row |= {f"{s} [cm] ↓": e for s, e in zip(options.sequences, errors)}
+        table.append({**row, "Mean [cm] ↓": mean(errors), "Tracked [%] ↑": None, "source": "published"})
+    notes = [
+        "A panorama of a limited field of view keeps all latitudes; pixels outside are invalid, and the others keep "
+        "their rays. The pinhole view has the panorama's angular resolution in its middle.",
+        *(source_notes(options.dataset) if len(table) > len(rows) else []),
+        *reasons(results, flat),
+    ]
+    return StudyResult(
+        "fov",
+        {"fov": table},
+        {"fov": _figure(options.sequences, points, paper)} if points else {},
+        notes,
+        "Accuracy against field of view",
+        {
+            "fov": "Accuracy against field of view. ATE RMSE after alignment, median over repeats; lower is better.",
+        },
+    )
+
+
+def pinhole_width(panorama_width: int) -> int:
+    """Width of a 120 degree pinhole image with the panorama's angular resolution in its middle, a multiple of 16."""
+    pixels = 2 * np.tan(np.deg2rad(60)) * panorama_width / (2 * np.pi)
+    return max(16, 16 * round(pixels / 16))
+
+
+def _figure(sequences: tuple[str, ...], points: list[tuple[float, list[Any]]], paper: Any) -> dict[str, Any]:
+    """A line per sequence; the paper's as dotted lines of the same colour."""
+    data = []
+    for k, sequence in enumerate(sequences):
+        known = [(fov, errors[k]) for fov, errors in points if errors[k] not in (None, FAILED)]
+        data.append(_line(sequence, known, k))
+        if paper and sequence in paper["sequences"]:
+            own = [
+                (float(name.rpartition(" ")[2]), columns(paper, name, [sequence])[0])
+                for name in paper
+                if "Pano" in name
+            ]
+            data.append({**_line(f"{sequence}, published", own, k), "line": {"dash": "dot", "width": 1.2}})
+    axis = {"title": {"text": "Horizontal field of view [°]"}, "tickvals": [fov for fov, _ in points]}
+    return {
+        "data": data,
+        "layout": {"xaxis": axis, "yaxis": {"title": {"text": "ATE RMSE [cm]"}, "type": "log"}, "showlegend": True},
+    }
+
+
+def _line(name: str, points: list[tuple[float, Any]], colour: int) -> dict[str, Any]:
+    return {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "name": name,
+        "meta": {"run": -2, "colour": colour},
+        "x": [x for x, _ in points],
+        "y": [y for _, y in points],
+        "line": {"width": 2},
+        "marker": {"size": 7},
+    }

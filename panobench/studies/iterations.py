@@ -1,0 +1,102 @@
+"""The iteration study: what front-end and back-end iterations buy in accuracy (the paper's iteration table)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from panobench.errors import UsageError
+from panobench.report.published import load_published
+from panobench.studies.base import StudyRequest, StudyResult
+from panobench.studies.cells import FAILED, QUICK, RunOptions, mean, median, reasons, run_cells
+from panobench.studies.published import source_notes
+
+PAPER_COUNTS = ("15/30", "30/50", "50/80", "100/100")
+
+
+@dataclass(frozen=True)
+class IterationOptions(RunOptions):
+    """counts: front-end/back-end iterations, set as options tracking_iterations and mapping_iterations."""
+
+    preset: str | None = "paper"
+    sequences: tuple[str, ...] = ("room1",)
+    counts: tuple[str, ...] = PAPER_COUNTS
+
+
+def run(study: StudyRequest) -> StudyResult:
+    """ATE and frames per second for each pair of counts, and for the method's default preset."""
+    options = study.choose(IterationOptions(), {**QUICK, "max_frames": 12, "counts": PAPER_COUNTS[:2]})
+    cells = {}
+    for text in options.counts:
+        front, back = parse_counts(text)
+        settings = {"tracking_iterations": front, "mapping_iterations": back}
+        cells[text] = [[options.cell(s, seed, settings=settings) for seed in options.seeds] for s in options.sequences]
+    default = replace(options, preset=None)
+    cells["default"] = [[default.cell(s, seed) for seed in options.seeds] for s in options.sequences]
+    flat = [cell for groups in cells.values() for group in groups for cell in group]
+    results = run_cells(study, "iterations", flat)
+    table, points = [], []
+    for text, groups in cells.items():
+        ate = mean([median(results, g, "ate_rmse_m", 100.0) for g in groups])
+        fps, tracking = (
+            mean([median(results, g, key, higher_is_better=True) for g in groups]) for key in ("fps", "tracking_fps")
+        )
+        label = f"{options.method} {options.preset}" if text != "default" and options.preset else options.method
+        row = {"Method": label, "Front-end/back-end": text if text != "default" else "its default preset"}
+        table.append({**row, "ATE [cm] ↓": ate, "Frames/s ↑": fps, "Tracking/s ↑": tracking, "source": "measured"})
+        points.append((row["Front-end/back-end"], fps, ate))
+    paper = load_published()
+    own = paper.tables.get("iterations_palvio", {}) if paper else {}
+    for method, figures in own.items():
+        if method == "columns":
+            continue
+        for text, ate, fps in zip(own["columns"], figures["ate_m"], figures["fps"]):
+            if text in options.counts:
+                row = {"Method": method, "Front-end/back-end": text, "ATE [cm] ↓": 100.0 * ate}
+                table.append({**row, "Frames/s ↑": fps, "Tracking/s ↑": None, "source": "published"})
+    notes = [
+        f"Sequences: {', '.join(options.sequences)} of {options.dataset}.",
+        "The default preset tracks by Gauss-Newton, which stops by itself: the counts do not apply to it.",
+        *(f"{line} The paper counts on PALVIO, another data set." for line in source_notes("synpano")[:1] if own),
+        *reasons(results, flat),
+    ]
+    captions = {
+        "iterations": "Iterations against accuracy and speed. Frames per second of the whole system, and of tracking "
+        "alone.",
+        "iterations-speed": "Accuracy against speed. Each marker is a pair of front-end/back-end iteration counts.",
+    }
+    figures = {"iterations-speed": figure} if (figure := _figure(points)) else {}
+    return StudyResult("iterations", {"iterations": table}, figures, notes, "Iterations, speed and accuracy", captions)
+
+
+def parse_counts(text: str) -> tuple[int, int]:
+    """ "15/30" -> (15, 30). Raises UsageError."""
+    front, slash, back = text.partition("/")
+    if not (slash and front.strip().isdigit() and back.strip().isdigit() and int(front) > 0):
+        raise UsageError(f"study option counts: '{text}' is not FRONT/BACK, for example 15/30")
+    return int(front), int(back)
+
+
+def _figure(points: list[tuple[str, Any, Any]]) -> dict[str, Any] | None:
+    known = [p for p in points if p[1] not in (None, FAILED) and p[2] not in (None, FAILED)]
+    if len(known) < 2:
+        return None
+    data = [
+        {
+            "type": "scatter",
+            "mode": "markers+text",
+            "name": text,
+            "text": [text],
+            "textposition": "top center",
+            "meta": {"run": -2, "colour": k},
+            "x": [fps],
+            "y": [ate],
+            "marker": {"size": 11},
+        }
+        for k, (text, fps, ate) in enumerate(known)
+    ]
+    layout = {
+        "xaxis": {"title": {"text": "Frames per second"}, "type": "log"},
+        "yaxis": {"title": {"text": "ATE RMSE [cm]"}, "type": "log"},
+    }
+    return {"data": data, "layout": layout}

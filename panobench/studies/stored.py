@@ -1,0 +1,88 @@
+"""A study's result on disk: ``study.json`` in its folder, beside the runs it was made from."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from panobench.errors import InputError
+from panobench.studies.base import StudyResult
+from panobench.writing import write_whole
+
+STUDY_JSON = "study.json"
+SCHEMA = 1
+MAX_BYTES = 64 << 20
+
+
+@dataclass
+class StoredStudy:
+    """A result with where it came from: command, quick, options, versions, machine."""
+
+    folder: Path
+    result: StudyResult
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+def write_study(folder: Path, result: StudyResult, provenance: Mapping[str, Any]) -> Path:
+    """Raises OutputError."""
+    document = {"schema": SCHEMA, **asdict(result), "provenance": dict(provenance)}
+    path = folder / STUDY_JSON
+    write_whole(path, json.dumps(finite(document), indent=1, ensure_ascii=False) + "\n")
+    return path
+
+
+def read_study(folder: Path) -> StoredStudy:
+    """Raises InputError when ``folder/study.json`` is not one."""
+    path = folder / STUDY_JSON
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"over {MAX_BYTES >> 20} MiB, too large for a study", path)
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", path) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not JSON ({error})", path) from None
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise InputError(f"not a study this panobench can read (it reads schema {SCHEMA})", path)
+    tables = {
+        str(name): [dict(row) for row in rows if isinstance(row, dict)]
+        for name, rows in _entries(document, "tables")
+        if isinstance(rows, list)
+    }
+    figures = {
+        str(name): figure
+        for name, figure in _entries(document, "figures")
+        if isinstance(figure, dict) and isinstance(figure.get("data"), list)
+    }
+    notes = document.get("notes")
+    result = StudyResult(
+        str(document.get("name") or folder.name),
+        tables,
+        figures,
+        [str(line) for line in notes] if isinstance(notes, list) else [],
+        str(document.get("title") or ""),
+        {str(k): str(v) for k, v in _entries(document, "captions")},
+    )
+    return StoredStudy(folder, result, dict(_entries(document, "provenance")))
+
+
+def _entries(document: Mapping[str, Any], key: str) -> list[tuple[Any, Any]]:
+    value = document.get(key)
+    return list(value.items()) if isinstance(value, dict) else []
+
+
+def finite(value: Any) -> Any:
+    """A copy for JSON: NumPy values as plain ones, numbers that are not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(k): finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(v) for v in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,139 @@
+"""The studies made of runs: which cells they plan, and what their tables say about results and failures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from panobench.bench.cells import Cell
+from panobench.bench.store import Stored
+from panobench.errors import UnknownNameError, UsageError
+from panobench.plugins import registry
+from panobench.specs import StudySpec
+from panobench.studies import ablation, cells, fov, iterations
+from panobench.studies.base import StudyRequest, StudyResult
+
+Answer = dict[str, Any]
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """``cells``: what was asked for. Every run is ok unless ``answer(cell)`` says otherwise."""
+    state: dict[str, Any] = {"cells": [], "answer": lambda cell: {}}
+
+    def run_cells(study: StudyRequest, name: str, asked: list[Cell]) -> dict[str, Stored]:
+        state["cells"] = list(asked)
+        found = {}
+        for cell in asked:
+            metrics = {"ate_rmse_m": 0.01, "tracked": 1.0, "psnr_db": 30.0, "ssim": 0.9, "lpips": None}
+            document = {"status": "ok", "metrics": metrics, "timing": {"fps": 5.0, "tracking_fps": 20.0}}
+            found[cell.identity] = Stored(Path(), {**document, **state["answer"](cell)})
+        return found
+
+    for module in (fov, ablation, iterations):
+        monkeypatch.setattr(module, "run_cells", run_cells)
+    return state
+
+
+def study(tmp_path: Path, **options: Any) -> StudyRequest:
+    return StudyRequest(tmp_path / "out", options=options)
+
+
+def row(result: StudyResult, table: str, **wanted: str) -> dict[str, Any]:
+    return next(r for r in result.tables[table] if all(r[k] == v for k, v in wanted.items()))
+
+
+def test_fov_runs_every_field_of_view_and_sets_the_papers_rows_apart(tmp_path: Path, answers: Any) -> None:
+    def answer(cell: Cell) -> Answer:
+        degrees = float(cell.request.fov or 360)
+        return {"metrics": {"ate_rmse_m": 3.6 / degrees, "tracked": 1.0}}
+
+    answers["answer"] = answer
+    result = fov.run(study(tmp_path, sequences="room1,room3"))
+    asked = {(c.request.camera, c.request.fov, c.request.sequence) for c in answers["cells"]}
+    assert len(asked) == 10
+    assert ("erp", "120", "room3") in asked
+    assert ("erp", None, "room1") in asked
+    assert ("pinhole:front", None, "room1") in asked
+    assert row(result, "fov", FoV="120°")["room1 [cm] ↓"] == pytest.approx(3.0)
+    paper = row(result, "fov", Method="PanoGS-SLAM", FoV="360°")
+    assert (paper["source"], paper["room3 [cm] ↓"]) == ("published", 0.26)
+    assert any("built-in rooms" in note for note in result.notes)
+    assert result.figures["fov"]["data"][0]["x"] == [120.0, 200.0, 280.0, 360.0]
+
+
+def test_failures_are_shown_and_counted(tmp_path: Path, answers: Any) -> None:
+    def answer(cell: Cell) -> Answer:
+        failed = cell.request.fov == "120" and cell.request.seed < 2
+        return {"status": "lost", "message": "tracked 12%"} if failed else {}
+
+    answers["answer"] = answer
+    result = fov.run(study(tmp_path, sequences="room1", seeds="0,1,2"))
+    narrow = row(result, "fov", FoV="120°")
+    assert narrow["room1 [cm] ↓"] == narrow["Mean [cm] ↓"] == "/"
+    assert sum("lost, tracked 12%" in note for note in result.notes) == 2
+    assert result.figures["fov"]["data"][0]["x"] == [200.0, 280.0, 360.0]
+
+
+def test_the_median_takes_the_worse_side_for_scores_as_for_errors(tmp_path: Path) -> None:
+    options = cells.RunOptions()
+    asked = [options.cell("room1", seed) for seed in range(3)]
+    found = {}
+    for cell, value in zip(asked, (20.0, 21.0, None)):
+        document = {"status": "ok" if value else "lost", "metrics": {"psnr_db": value, "ate_rmse_m": value}}
+        found[cell.identity] = Stored(Path(), document)
+    assert cells.median(found, asked, "psnr_db", higher_is_better=True) == 20.0
+    assert cells.median(found, asked, "ate_rmse_m") == 21.0
+    assert cells.median(found, asked[:1], "lpips") is None
+    assert cells.mean([1.0, "/"]) == "/"
+    assert cells.mean([1.0, None]) is None
+    assert cells.mean([1.0, 2.0]) == 1.5
+
+
+def test_ablation_changes_one_thing_at_a_time(tmp_path: Path, answers: Any) -> None:
+    result = ablation.run(study(tmp_path, sequences="room1,room2"))
+    settings = {(c.request.preset, tuple(c.request.settings.items()), c.request.depth) for c in answers["cells"]}
+    assert (None, (), None) in settings
+    assert (None, (("loss", "uniform"),), None) in settings
+    assert ("paper", (("loss", "gaussian"),), None) in settings
+    assert ("paper", (("solver", "gauss-newton"),), None) in settings
+    assert (None, (("depth_guided", False), ("sweep", False)), "constant") in settings
+    assert len(answers["cells"]) == 2 * 12
+    full = row(result, "ablation", Method="PanoGS-SLAM", Preset="default")
+    assert (full["ATE [cm] ↓"], full["PSNR [dB] ↑"], full["LPIPS ↓"]) == (pytest.approx(1.0), 30.0, None)
+    assert row(result, "ablation", Method="w/o L_pano", source="published")["ATE [cm] ↓"] == 5.19
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_every_variant_is_one_panogs_has(preset: str) -> None:
+    from panobench.bench.config import method_config
+    from panobench.specs import MethodSpec
+
+    spec = registry().get(MethodSpec, "panogs")
+    chosen = None if preset == "default" else preset
+    base = method_config(spec, chosen, {})
+    for name, (settings, changes) in ablation.variants(preset).items():
+        assert (method_config(spec, chosen, settings) != base) == bool(settings), name
+        assert set(changes) <= {"depth"}
+
+
+def test_iterations_set_both_counts_and_give_speed(tmp_path: Path, answers: Any) -> None:
+    result = iterations.run(study(tmp_path, counts="15/30,100/100"))
+    settings = [c.request.settings for c in answers["cells"]]
+    assert {"tracking_iterations": 100, "mapping_iterations": 100} in settings
+    assert settings[-1] == {}
+    assert answers["cells"][-1].request.preset is None
+    ours = row(result, "iterations", source="measured")
+    assert (ours["ATE [cm] ↓"], ours["Frames/s ↑"], ours["Tracking/s ↑"]) == (pytest.approx(1.0), 5.0, 20.0)
+    assert row(result, "iterations", Method="MonoGS")["ATE [cm] ↓"] == pytest.approx(231.4)
+    with pytest.raises(UsageError, match="15/30"):
+        iterations.run(study(tmp_path, counts="15-30"))
+
+
+@pytest.mark.parametrize("name", ["fov", "ablation", "iterations", "basin"])
+def test_studies_are_plugins_that_name_their_options(name: str, tmp_path: Path) -> None:
+    run = registry().get(StudySpec, name).load()
+    with pytest.raises(UnknownNameError, match="widht"):
+        run(study(tmp_path, widht="64"))
