@@ -1,14 +1,17 @@
 """Frames per second of reprojection, beside py360convert and pyequilib where they are installed.
 
-    python benchmarks/reprojection.py [--repeats 30] [--threads 2]
+    python benchmarks/reprojection.py [--repeats 30] [--threads 2] [--out reports/speed/reprojection.md]
 
-Prints one table. Maps are computed once per camera pair, as in a conversion, and not counted; their cost stands in its
-own column. Every other library gets the same images and views, and is given the same chance to prepare.
+Prints one table, and writes it as Markdown. Maps are computed once per camera pair, as in a conversion, and not counted;
+their cost stands in its own column. Every other library gets the same images and views, and is given the same chance to
+prepare.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import importlib.metadata
 import itertools
 import os
 import platform
@@ -16,16 +19,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from panobench.bench.provenance import available_cores, commit, cpu_model
+from panobench.bench.tables import text_table
 from panobench.cameras.calibration import builtin_calibration
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.reproject import Reprojector
 from panobench.cameras.views import look_rotation, upright_rotation
+from panobench.writing import write_whole
 
 VIEW_LON_DEG, VIEW_LAT_DEG = 30.0, 10.0
 
@@ -38,13 +45,10 @@ class Row:
     prepare_ms: float = float("nan")
     psnr_db: float = float("nan")
 
-    def __str__(self) -> str:
-        numbers = (f"{1000 / self.ms:10.1f}", f"{self.ms:9.2f}", _or_dash(self.prepare_ms), _or_dash(self.psnr_db))
-        return f"{self.what:44s} {self.library:22s}" + " ".join(numbers)
-
-
-def _or_dash(value: float) -> str:
-    return f"{value:12.1f}" if np.isfinite(value) else f"{'-':>12s}"
+    def cells(self) -> list[str]:
+        numbers = (1000 / self.ms, self.ms, self.prepare_ms, self.psnr_db)
+        texts = [f"{n:.{d}f}" if np.isfinite(n) else "-" for n, d in zip(numbers, (1, 2, 1, 1))]
+        return [self.what, self.library, *texts]
 
 
 def measure(run: Callable[[], Any], repeats: int) -> float:
@@ -136,33 +140,71 @@ def _equilib(what: str, image: np.ndarray, size: int, truth: np.ndarray, repeats
         from equilib import Equi2Pers
     except ImportError:
         return []
+    import torch
+
     convert = Equi2Pers(height=size, width=size, fov_x=90.0, mode="bilinear")
     planes = np.ascontiguousarray(image.transpose(2, 0, 1))
     rows = []
-    for a, b in itertools.product((1, -1), repeat=2):  # sign conventions differ between releases: find ours
-        angles = {"roll": 0.0, "pitch": a * np.deg2rad(VIEW_LAT_DEG), "yaw": b * np.deg2rad(VIEW_LON_DEG)}
-        shown = np.asarray(convert(equi=planes, rots=angles)).transpose(1, 2, 0)
-        rows.append((psnr(shown, truth), angles))
-    best, rots = max(rows, key=lambda row: row[0])
-    ms = measure(lambda: convert(equi=planes, rots=rots), repeats)
-    return [Row(what, "pyequilib (numpy)", ms, psnr_db=best)]
+    for backend, given in (("numpy", planes), ("torch", torch.from_numpy(planes))):
+        found = []
+        for a, b in itertools.product((1, -1), repeat=2):  # sign conventions differ between releases: find ours
+            angles = {"roll": 0.0, "pitch": a * np.deg2rad(VIEW_LAT_DEG), "yaw": b * np.deg2rad(VIEW_LON_DEG)}
+            shown = np.asarray(convert(equi=given, rots=angles)).transpose(1, 2, 0)
+            found.append((psnr(shown, truth), angles))
+        best, rots = max(found, key=lambda row: row[0])
+        ms = measure(partial(convert, equi=given, rots=rots), repeats)
+        rows.append(Row(what, f"pyequilib ({backend})", ms, psnr_db=best))
+    return rows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=30)
     parser.add_argument("--threads", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--out", type=Path, help="also write the table there, as Markdown")
     options = parser.parse_args()
     cv2.setNumThreads(options.threads)
-    print(f"{platform.machine()}, {os.cpu_count()} CPUs, {options.threads} threads, OpenCV {cv2.__version__}")
-    print(f"{'':44s} {'':22s}{'frames/s':>10s} {'ms/frame':>9s} {'prepare ms':>12s} {'PSNR dB':>12s}")
-    for row in [
+    with contextlib.suppress(ImportError):
+        import torch
+
+        torch.set_num_threads(options.threads)
+    rows = [
         *pal_to_erp(options.repeats),
         *erp_to_view(1024, 512, options.repeats),
         *erp_to_view(2048, 512, options.repeats),
         *erp_to_view(3840, 960, options.repeats),
-    ]:
-        print(row, flush=True)
+    ]
+    header = ["reprojection", "library", "frames/s", "ms/frame", "prepare ms", "PSNR dB"]
+    table = [row.cells() for row in rows]
+    print(setting(options.threads))
+    print(text_table(header, table))
+    if options.out is not None:
+        command = f"python benchmarks/reprojection.py --repeats {options.repeats} --threads {options.threads}"
+        write_whole(options.out, report(setting(options.threads), command, text_table(header, table, markdown=True)))
+
+
+def setting(threads: int) -> str:
+    """Machine and versions, on one line."""
+    versions = [f"Python {platform.python_version()}"]
+    for name in ("numpy", "opencv-python-headless", "torch", "py360convert", "pyequilib"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            versions.append(f"{name} {importlib.metadata.version(name)}")
+    return f"{cpu_model()}, {available_cores()} cores, {threads} threads; {', '.join(versions)}"
+
+
+def report(where: str, command: str, table: str) -> str:
+    return f"""# Reprojection speed
+
+Written by `{command} --out FILE`, panobench commit {commit() or "unknown"}.
+
+Measured on {where}.
+
+Median of repeated calls on 8-bit images, after two to warm up. The map of a camera pair is computed once per
+conversion: "prepare" is its cost, not counted in the frames; the other libraries keep what they can between calls too.
+PSNR is against the same function seen directly, so it shows what a faster call costs in quality.
+
+{table}
+"""
 
 
 if __name__ == "__main__":
