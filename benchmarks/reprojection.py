@@ -2,9 +2,9 @@
 
     python benchmarks/reprojection.py [--repeats 30] [--threads 2] [--out reports/speed/reprojection.md]
 
-Prints one table, and writes it as Markdown. Maps are computed once per camera pair, as in a conversion, and not counted;
-their cost stands in its own column. Every other library gets the same images and views, and is given the same chance to
-prepare.
+Prints one table, and writes it as Markdown. Maps are computed once per camera pair, as in a conversion, and not
+counted; their cost stands in its own column. Every other library gets the same images and views, and is given the same
+chance to prepare.
 """
 
 from __future__ import annotations
