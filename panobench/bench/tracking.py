@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from panobench.bench.observer import Observer
 from panobench.bench.stopping import StopRequest
-from panobench.bench.views import BlindSequence, read_frame
+from panobench.bench.views import BlindSequence, FrameReader
 from panobench.datasets.base import Sequence
 from panobench.errors import MethodError, PanobenchError
 from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
@@ -57,6 +57,7 @@ def track_online(
 ) -> Tracked:
     """Run an online method. What the data or the user did wrong is raised; what the method did wrong is the result."""
     result = Tracked()
+    read = FrameReader(sequence)
     begin = time.perf_counter()
     where = "start()"
     with StopRequest() as stop:
@@ -66,7 +67,7 @@ def track_online(
             for index in range(len(sequence)):
                 if stop.requested:
                     break
-                frame = read_frame(sequence, index, index not in holdout, first_depth(index))
+                frame = read(index, index not in holdout, first_depth(index))
                 where = f"frame {index}"
                 clock = time.perf_counter()
                 pose = method.track(frame)

@@ -63,18 +63,31 @@ def held_out(n: int, holdout: int) -> list[int]:
     return list(range(holdout - 1, n, holdout)) if holdout else []
 
 
-def read_frame(
-    sequence: Sequence, index: int, mappable: bool = True, depth: NDArray[np.float32] | None = None
-) -> Frame:
-    """A frame with an image of its own, checked against the camera. Raises DatasetError naming the frame."""
-    image = sequence.image(index)
-    expected = (sequence.camera.height, sequence.camera.width, 3)
-    if image.shape != expected or image.dtype != np.uint8:
-        raise DatasetError(
-            f"the image is {image.shape} {image.dtype}, expected {expected} uint8",
-            frame=sequence.frame_name(index),
-        )
-    return Frame(index, float(sequence.times[index]), image.copy(), mappable, depth, sequence.frame_name(index))
+class FrameReader:
+    """Frames as a method gets them: checked against the camera, with an image of their own, black under the mask.
+
+    What a mask hides (a lens's rim, the operator) thereby cannot change a result, whatever a method does at its edge.
+    """
+
+    def __init__(self, sequence: Sequence) -> None:
+        self._sequence = sequence
+        mask = sequence.camera.mask
+        self._hidden = None if mask is None else ~mask
+
+    def __call__(self, index: int, mappable: bool = True, depth: NDArray[np.float32] | None = None) -> Frame:
+        """Raises DatasetError naming the frame."""
+        sequence = self._sequence
+        image = sequence.image(index)
+        expected = (sequence.camera.height, sequence.camera.width, 3)
+        if image.shape != expected or image.dtype != np.uint8:
+            raise DatasetError(
+                f"the image is {image.shape} {image.dtype}, expected {expected} uint8",
+                frame=sequence.frame_name(index),
+            )
+        image = image.copy()
+        if self._hidden is not None:
+            image[self._hidden] = 0
+        return Frame(index, float(sequence.times[index]), image, mappable, depth, sequence.frame_name(index))
 
 
 class BlindSequence(Sequence):
@@ -84,7 +97,8 @@ class BlindSequence(Sequence):
         self.name, self.dataset, self.camera = sequence.name, sequence.dataset, sequence.camera
         self.times = sequence.times.copy()
         self._imu = imu
-        self._read: Callable[[int], Frame] = lambda index: read_frame(sequence, index, index not in holdout)
+        reader = FrameReader(sequence)
+        self._read: Callable[[int], Frame] = lambda index: reader(index, index not in holdout)
 
     def image(self, index: int) -> NDArray[np.uint8]:
         return self._read(index).image

@@ -17,7 +17,7 @@ def synth() -> None:
 
 @app.command()
 def palvio(
-    out: Annotated[Path, typer.Option(help="The bag to write.")] = Path("ID01.bag"),
+    out: Annotated[Path, typer.Option(help="The bag to write.")] = Path("synthetic.bag"),
     dataset: Annotated[str, typer.Option(help="Panoramic dataset with ground truth to make it from.")] = "rooms",
     sequence: Annotated[str | None, typer.Option(help="Its sequence; default: the first.")] = None,
     root: Annotated[Path | None, typer.Option(help="Where that dataset is.")] = None,

@@ -96,11 +96,30 @@ def _from_angle(model: str, argument: str, size: tuple[int, int]) -> Camera:
     return KannalaBrandtCamera.equidistant(width, angle)
 
 
+#: What only one layout has, in a sequence's folder or one above it.
+_MARKS = {
+    "mav0": "tum-vi",
+    "*/mav0": "tum-vi",
+    "camera_pose.json": "360loc",
+    "*/*/*/camera_pose.json": "360loc",
+    "transform.json": "omniblender",
+    "*/transform.json": "omniblender",
+    "Egocentric/cameras": "omniblender",
+    "*/Egocentric/cameras": "omniblender",
+}
+
+
+def _guess_video(path: Path) -> str:
+    """Footage of two lenses has their calibration beside it."""
+    both = path.with_name(f"{path.stem}.dual.yaml").is_file() or path.with_name("dual_fisheye.yaml").is_file()
+    return "insta360-dual-fisheye" if both else "video"
+
+
 def guess_dataset(path: Path) -> str:
     """Which dataset adapter reads ``path``. Raises DatasetError if none seems to."""
     if path.is_file():
         if path.suffix.lower() in VIDEO_SUFFIXES:
-            return "video"
+            return _guess_video(path)
         if path.suffix == ".bag":
             return "palvio"
     elif path.is_dir():
@@ -110,8 +129,12 @@ def guess_dataset(path: Path) -> str:
             return "synpano"
         if any(path.glob("*.bag")):
             return "palvio"
-        if any(p.suffix.lower() in VIDEO_SUFFIXES for p in path.iterdir()):
-            return "video"
+        for pattern, dataset in _MARKS.items():
+            if any(path.glob(pattern)):
+                return dataset
+        videos = sorted(p for p in path.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES)
+        if videos:
+            return _guess_video(videos[0])
     raise DatasetError("neither an image nor a sequence that is recognised; name its --dataset", path)
 
 

@@ -17,9 +17,12 @@ from panobench.bench.observer import Observer
 from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import default_folder, execute
+from panobench.bench.views import BlindSequence, FrameReader
+from panobench.cameras.erp import ErpCamera
 from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import PanobenchError, UnavailableError, UnknownNameError, UnsupportedError, UsageError
 from panobench.plugins import PluginWarning
+from panobench.testing import GivenImages
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
 
@@ -134,6 +137,19 @@ def test_methods_see_no_truth(tmp_path: Path) -> None:
     assert batch["status"] == "ok", batch["message"]
     assert batch["extra"]["mapped"] == [0, 1, 3, 4, 6, 7, 9, 10]
     assert batch["timing"]["fps"] == pytest.approx(batch["timing"]["tracking_fps"])
+
+
+def test_methods_do_not_see_what_the_mask_hides() -> None:
+    camera = ErpCamera(64, 32)
+    mask = np.ones((32, 64), dtype=bool)
+    mask[20:] = False
+    image = np.full((32, 64, 3), 200, np.uint8)
+    sequence = GivenImages(camera.with_mask(mask), [image])
+    read = FrameReader(sequence)
+    assert set(np.unique(read(0).image[:20])) == {200}
+    assert set(np.unique(read(0).image[20:])) == {0}
+    assert set(np.unique(BlindSequence(sequence).image(0)[20:])) == {0}
+    assert sequence.image(0).min() == 200
 
 
 def test_depth_goes_to_those_who_declare_it(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cli.main import run
 from panobench.datasets.images import decode_image, read_image
 from panobench.datasets.look_around import look_around_page
+from panobench.datasets.single_image import guess_dataset
 from panobench.geometry import directions_from_lonlat
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
@@ -74,6 +75,24 @@ def test_sequences_are_recognised(tmp_path: Path, kind: str) -> None:
     assert len(frames) == 3
     assert frames[0]["label"].startswith("000000")
     assert frames[-1]["label"].startswith("000008")
+
+
+@pytest.mark.parametrize(
+    ("file", "dataset"),
+    [
+        ("room1/mav0/cam0/data.csv", "tum-vi"),
+        ("hall/mapping/day/camera_pose.json", "360loc"),
+        ("scene/transform.json", "omniblender"),
+        ("scene/Egocentric/cameras/00000_cam.json", "omniblender"),
+        ("dual_fisheye.yaml", "insta360-dual-fisheye"),
+    ],
+)
+def test_layouts_are_recognised(tmp_path: Path, file: str, dataset: str) -> None:
+    root = tmp_path / "data"
+    (root / file).parent.mkdir(parents=True)
+    (root / file).write_text("")
+    (root / "walk.mp4").write_text("")
+    assert guess_dataset(root) == dataset
 
 
 def test_a_narrow_camera_gets_no_page(tmp_path: Path) -> None:
