@@ -32,6 +32,8 @@ NAMES = {
     "memory": "peak_rss_bytes",
 }
 _RULE = re.compile(r"\s*(any:)?\s*([a-z_0-9]+)\s*([<>])\s*([0-9.]+(?:e-?[0-9]+)?)\s*(%?)\s*$")
+#: Beyond it sums and squares overflow; nothing that is measured comes near.
+_LARGEST = 1e100
 #: What makes two runs the same cell; seeds and repeats are joined.
 _SAME = (
     "preset", "settings", "camera", "dataset", "sequence", "width", "fov", "depth", "every", "max_frames", "holdout",
@@ -89,7 +91,9 @@ class Group:
         found = []
         for run in self.runs:
             value = {**_mapping(run.get("metrics")), **_mapping(run.get("timing"))}.get(key)
-            if run["status"] == "ok" and isinstance(value, (int, float)) and not isinstance(value, bool):
+            if run["status"] != "ok" or not isinstance(value, (int, float)) or isinstance(value, bool):
+                continue
+            if abs(value) <= _LARGEST:
                 found.append(float(value))
         return found
 

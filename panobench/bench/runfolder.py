@@ -16,6 +16,7 @@ from typing import Any
 import psutil
 
 from panobench.errors import InputError, PanobenchError, UsageError
+from panobench.reading import parse_json, read_text
 from panobench.writing import disk_full, is_disk_full, writing
 
 SCHEMA = 1
@@ -152,18 +153,9 @@ def finite(value: Any) -> Any:
 def read_run_json(folder: Path) -> dict[str, Any]:
     """run.json of a run folder. Raises InputError naming file and line when it is not usable."""
     path = folder / RUN_JSON
-    try:
-        if path.stat().st_size > MAX_RUN_JSON_BYTES:
-            raise InputError(f"over {MAX_RUN_JSON_BYTES >> 20} MiB, too large for a run.json", path)
-        document = json.loads(path.read_bytes().decode("utf-8"))
-    except FileNotFoundError:
-        raise InputError("the file is missing; is this a run folder?", path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", path) from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"not valid JSON ({error.msg})", path, line=error.lineno) from None
-    except (UnicodeDecodeError, RecursionError, ValueError):
-        raise InputError("not valid JSON", path) from None
+    if not path.exists():
+        raise InputError("the file is missing; is this a run folder?", path)
+    document = parse_json(read_text(path, "the run.json", MAX_RUN_JSON_BYTES), path)
     if not isinstance(document, dict) or not isinstance(document.get("status"), str):
         raise InputError("not a run: it has no status", path)
     if document.get("schema") != SCHEMA:

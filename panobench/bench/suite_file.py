@@ -15,9 +15,9 @@ from panobench.bench.cells import Cell, Limits
 from panobench.bench.request import RunRequest
 from panobench.errors import DatasetError, InputError, PanobenchError, UnavailableError, UnknownNameError
 from panobench.plugins import registry
+from panobench.reading import parse_yaml, read_text
 from panobench.specs import DatasetSpec, MethodSpec
 
-MAX_FILE_BYTES = 1 << 20
 MAX_CELLS = 100_000
 _KEYS = ("name", "methods", "cameras", "datasets", "seeds", "repeats", "options")
 _METHOD_KEYS = ("name", "preset", "set", "cameras", "options")
@@ -45,6 +45,8 @@ def read_suite(path: Path) -> Suite:
     datasets = [_entry(d, _DATASET_KEYS, path, "datasets") for d in _list(document, "datasets", path)]
     seeds = [_integer(s, path, "seeds") for s in _list(document, "seeds", path, default=[0])]
     repeats = _integer(document.get("repeats", 1), path, "repeats")
+    if repeats > MAX_CELLS:
+        raise InputError(f"repeats: more than {MAX_CELLS} cells", path)
     for method in methods:
         registry().get(MethodSpec, method["name"])
     for dataset in datasets:
@@ -64,25 +66,7 @@ def read_suite(path: Path) -> Suite:
 
 
 def _load(path: Path) -> Any:
-    import yaml
-
-    try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise InputError(f"over {MAX_FILE_BYTES >> 20} MiB, too large for a suite file", path)
-        text = path.read_bytes().decode("utf-8")
-        return yaml.safe_load(text)
-    except FileNotFoundError:
-        raise InputError("no such file", path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", path) from error
-    except UnicodeDecodeError:
-        raise InputError("not UTF-8 text", path) from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        what = getattr(error, "problem", None) or "not YAML"
-        raise InputError(f"not valid YAML: {what}", path, line=mark.line + 1 if mark else None) from None
-    except (RecursionError, ValueError, OverflowError) as error:
-        raise InputError(f"not usable YAML ({type(error).__name__})", path) from None
+    return parse_yaml(read_text(path, "the suite file"), path)
 
 
 def _cell(

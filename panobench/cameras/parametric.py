@@ -16,6 +16,7 @@ C = TypeVar("C", bound="ParametricCamera")
 
 #: Larger than any sensor; a bigger number in a file is a mistake, not a camera.
 MAX_SIDE = 65536
+MAX_PIXELS = 200_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,10 @@ class ParametricCamera(Camera):
                     f"{self.kind} camera: {name} must be a whole number from 1 to {MAX_SIDE}, not {value!r}"
                 )
             object.__setattr__(self, name, int(value))
+        if self.width * self.height > MAX_PIXELS:
+            raise CalibrationError(
+                f"{self.kind} camera: {self.width}x{self.height} is over {MAX_PIXELS // 1_000_000} million pixels"
+            )
         if self.mask is not None:
             mask = np.array(self.mask, dtype=bool)
             if mask.shape != (self.height, self.width):

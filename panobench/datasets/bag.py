@@ -6,9 +6,10 @@ packed, strings and arrays preceded by a uint32 length; std_msgs/Header is seq, 
 
 from __future__ import annotations
 
+import bz2
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,12 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.images import check_limits
+from panobench.datasets.images import MAX_SIDE, check_limits
 from panobench.errors import DatasetError
 
 _MAGIC = b"#ROSBAG V2.0"
 #: Encodings of sensor_msgs/Image that are read, and their channels.
 ENCODINGS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3}
+#: A compressed chunk that unpacks to more is refused; recorders write chunks of about a megabyte.
+MAX_CHUNK_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -54,8 +57,10 @@ def explained_bag_errors(path: Path) -> Iterator[None]:
         else:
             hint = f"the bag is truncated or damaged ({reason})"
         raise DatasetError(hint, path) from None
-    except (struct.error, AssertionError, ValueError, KeyError, IndexError, EOFError, UnicodeDecodeError) as error:
+    except (struct.error, RuntimeError, AssertionError, ValueError, KeyError, IndexError, EOFError) as error:
         raise DatasetError(f"the bag is truncated or damaged ({type(error).__name__}: {error})", path) from None
+    except MemoryError:
+        raise DatasetError("the bag is damaged: a record claims more memory than there is", path) from None
     except OSError as error:
         raise DatasetError(f"the bag cannot be read ({error.strerror or error})", path) from error
 
@@ -76,6 +81,9 @@ class BagFile:
                     raise DatasetError("this is not a ROS 1 bag (version 2.0)", path)
             self._reader = Reader(path)
             self._reader.open()
+            chunks = self._reader.chunks
+            for at, chunk in chunks.items():
+                chunks[at] = chunk._replace(decompressor=_bounded(chunk.decompressor))
             self.topics = {
                 name: (info.msgtype or "mixed types", info.msgcount) for name, info in self._reader.topics.items()
             }
@@ -117,6 +125,30 @@ class BagFile:
         raise DatasetError("a message listed in the index is not there", self.path)
 
 
+def _bounded(decompress: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+    """`rosbags`' decompressor, but for at most MAX_CHUNK_BYTES: a few kilobytes may stand for gigabytes."""
+    from rosbags.rosbag1.reader import bz2_decompress, lz4_decompress
+
+    if decompress not in (bz2_decompress, lz4_decompress):
+        return decompress
+
+    def unpack(data: bytes) -> bytes:
+        stream: Any
+        if decompress is bz2_decompress:
+            stream = bz2.BZ2Decompressor()
+        else:
+            from lz4.frame import LZ4FrameDecompressor
+
+            stream = LZ4FrameDecompressor()
+        out: bytes = stream.decompress(data, MAX_CHUNK_BYTES)
+        if not stream.eof:
+            limit = f"more than {MAX_CHUNK_BYTES >> 20} MiB" if len(out) >= MAX_CHUNK_BYTES else "an incomplete stream"
+            raise ValueError(f"a compressed chunk unpacks to {limit}")
+        return out
+
+    return unpack
+
+
 def parse_image_header(data: bytes | memoryview, path: Path, frame: int) -> ImageHeader:
     """The header of a serialised sensor_msgs/Image. Raises DatasetError if inconsistent or of unknown encoding."""
     try:
@@ -132,7 +164,8 @@ def parse_image_header(data: bytes | memoryview, path: Path, frame: int) -> Imag
     if encoding not in ENCODINGS:
         raise DatasetError(f"the image has encoding '{encoding}'; {', '.join(ENCODINGS)} are read", path, frame=frame)
     check_limits(width, height, path, frame)
-    if step < width * ENCODINGS[encoding] or length < step * (height - 1) + width * ENCODINGS[encoding]:
+    row = width * ENCODINGS[encoding]
+    if not row <= step <= 4 * MAX_SIDE or length < step * (height - 1) + row:
         raise DatasetError(f"a {width}x{height} {encoding} image cannot have {length} bytes", path, frame=frame)
     if offset + length > len(data):
         raise DatasetError("the image message is truncated", path, frame=frame)

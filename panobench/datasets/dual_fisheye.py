@@ -33,6 +33,7 @@ from panobench.datasets.checksums import files_provenance
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.video import VideoReader, video_files
 from panobench.errors import CalibrationError, DatasetError, UsageError
+from panobench.reading import inside, number_array, parse_yaml, read_text
 
 Array = NDArray[np.float64]
 _KEYS = {"x", "y", "camera", "yaw_pitch_roll_deg", "R_rig_lens"}
@@ -58,17 +59,10 @@ class DualFisheye:
 
 def read_dual_fisheye(path: Path) -> DualFisheye:
     """Parse a dual_fisheye.yaml. Raises CalibrationError naming the file and what is wrong."""
-    import yaml
-
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise CalibrationError(
-            "the calibration of the two lenses is missing; see `panobench list datasets`", path
-        ) from None
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        line = getattr(getattr(error, "problem_mark", None), "line", None)
-        raise CalibrationError("the file is not YAML", path, line=None if line is None else line + 1) from None
+    if not path.is_file():
+        raise CalibrationError("the calibration of the two lenses is missing; see `panobench list datasets`", path)
+    text = read_text(path, "the calibration of the two lenses", error=CalibrationError)
+    values = parse_yaml(text, path, CalibrationError)
     lenses = values.get("lenses") if isinstance(values, dict) else None
     if not isinstance(lenses, list) or len(lenses) != 2:
         raise CalibrationError("expected 'lenses', a list of two", path)
@@ -86,21 +80,28 @@ def _lens(values: Any, k: int, path: Path) -> Lens:
         raise CalibrationError(f"lens {k}: unknown key '{unknown[0]}'; known: {', '.join(sorted(_KEYS))}", path)
     camera = values["camera"]
     try:
-        model = read_calibration(path.parent / camera) if isinstance(camera, str) else camera_from_dict(camera)
+        model = _camera_beside(path, camera) if isinstance(camera, str) else camera_from_dict(camera)
     except CalibrationError as error:
         raise CalibrationError(f"lens {k}: {error}", path) from None
     try:
         if "R_rig_lens" in values:
-            R = np.array(values["R_rig_lens"], dtype=np.float64)
+            R = number_array(values["R_rig_lens"])
         else:
             yaw, pitch, roll = (float(v) for v in values.get("yaw_pitch_roll_deg", (180.0 * k, 0, 0)))
             R = look_rotation(yaw, pitch, roll).T
         x, y = int(values.get("x", 0)), int(values.get("y", 0))
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(f"lens {k}: {error}", path) from None
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
         raise CalibrationError(f"lens {k}: 'R_rig_lens' is not a rotation", path)
     return Lens(model, x, y, R)
+
+
+def _camera_beside(path: Path, name: str) -> Camera:
+    file = inside(path.parent, name)
+    if file is None:
+        raise CalibrationError(f"'{name}' does not lie beside it", path)
+    return read_calibration(file)
 
 
 class Stitcher:

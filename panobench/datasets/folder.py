@@ -8,9 +8,8 @@ same camera apart from the trajectory), ``meta.json``.
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,10 +23,13 @@ from panobench.datasets.locate import choose_sequence
 from panobench.datasets.trajectory_io import check_times, parse_floats, poses_from_rows, read_rows, read_table, read_tum
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import DatasetError
+from panobench.reading import inside, number_array, parse_json, read_text
 from panobench.types import Imu, NovelView, Trajectory
 
 #: A ground-truth row belongs to the frame whose time differs by at most this.
 TIME_TOLERANCE_S = 1e-3
+#: meta.json lists a checksum for every file.
+MAX_META_BYTES = 256 << 20
 
 
 def read_imu_csv(path: Path) -> Imu:
@@ -155,12 +157,16 @@ def _read_frames(path: Path, folder: Path) -> tuple[np.ndarray, list[Path]]:
 
 def _image_inside(folder: Path, name: str, path: Path, line: int) -> Path:
     """The image that a row names, which must lie in the sequence's folder."""
-    relative = PurePosixPath(name)
-    if relative.is_absolute() or ".." in relative.parts or not relative.parts:
-        raise DatasetError(f"'{name}' does not lie inside the sequence", path, line=line)
-    if not (folder / relative).is_file():
+    file = inside(folder, name)
+    if file is None:
+        raise DatasetError(f"'{name[:200]}' does not lie inside the sequence", path, line=line)
+    try:
+        found = file.is_file()
+    except OSError:  # a part of it is longer than any file's name
+        found = False
+    if not found:
         raise DatasetError(f"image '{name}' is missing", path, line=line)
-    return folder / relative
+    return file
 
 
 def _read_novel(folder: Path, camera: Camera) -> list[NovelView]:
@@ -187,10 +193,7 @@ def _read_meta(path: Path) -> dict[str, Any]:
     """What meta.json says about the sequence's origin (without its list of checksums); {} if there is none."""
     if not path.is_file():
         return {}
-    try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise DatasetError("the file is not JSON", path) from None
+    meta = parse_json(read_text(path, "the file", MAX_META_BYTES, DatasetError), path, DatasetError)
     if not isinstance(meta, dict):
         raise DatasetError("expected a JSON object", path)
     return {k: v for k, v in meta.items() if k != "checksums"}
@@ -200,10 +203,7 @@ def _pose_note(meta: dict[str, Any], path: Path) -> np.ndarray | None:
     """meta.json's "body_T_cam", a rigid 4x4 matrix, if it has one."""
     if meta.get("body_T_cam") is None:
         return None
-    try:
-        T = np.array(meta["body_T_cam"], dtype=np.float64)
-    except (TypeError, ValueError):
-        T = np.zeros(0)
+    T = number_array(meta["body_T_cam"])
     if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3):
         raise DatasetError("'body_T_cam' is not a rigid 4x4 matrix", path)
     return T

@@ -56,8 +56,8 @@ def read_size(path: Path, *, frame: int | str | None = None) -> tuple[int, int]:
     return size
 
 
-def _decode(data: bytes, path: Path | str, frame: int | str | None) -> NDArray[Any]:
-    """The file's pixels as stored (BGR order where it has colour)."""
+def decode_stored(data: bytes, path: Path | str, frame: int | str | None = None) -> NDArray[Any]:
+    """The file's pixels as stored (BGR order where it has colour). Raises DatasetError as ``decode_image``."""
     import cv2
 
     try:
@@ -103,7 +103,7 @@ def to_rgb(pixels: NDArray[Any], path: Path | str = "image", frame: int | str | 
 
 def decode_image(data: bytes, path: Path | str, *, frame: int | str | None = None) -> NDArray[np.uint8]:
     """An image file's bytes -> RGB uint8 (H, W, 3). Raises DatasetError if foreign, too large or truncated."""
-    return to_rgb(_decode(data, path, frame), path, frame)
+    return to_rgb(decode_stored(data, path, frame), path, frame)
 
 
 def read_image(path: Path, *, frame: int | str | None = None) -> NDArray[np.uint8]:
@@ -129,8 +129,11 @@ def read_depth(path: Path, *, frame: int | str | None = None) -> NDArray[np.floa
             stored = np.load(path, mmap_mode="r", allow_pickle=False)
         except FileNotFoundError:
             raise DatasetError("the depth map is missing", path, frame=frame) from None
-        except (ValueError, OSError, EOFError) as error:
+        except Exception as error:  # np.load lets out what its parsers raise: TokenError, BadZipFile, ...
             raise DatasetError(f"the depth map is damaged ({error})", path, frame=frame) from None
+        if not isinstance(stored, np.ndarray):  # np.load opens archives of arrays, too
+            stored.close()
+            raise DatasetError("the depth map is no single array in .npy format", path, frame=frame)
         if stored.ndim == 3 and stored.shape[2] == 1:
             stored = stored[..., 0]
         if stored.ndim != 2 or stored.dtype.kind not in "fiu":
@@ -142,7 +145,7 @@ def read_depth(path: Path, *, frame: int | str | None = None) -> NDArray[np.floa
         check_limits(stored.shape[1], stored.shape[0], path, frame)
         depth = np.array(stored, dtype=np.float32)
     else:
-        stored = _decode(_read_bytes(path, "depth map", frame), path, frame)
+        stored = decode_stored(_read_bytes(path, "depth map", frame), path, frame)
         if stored.dtype != np.uint16 or stored.ndim != 2:
             raise DatasetError("a depth PNG must be single-channel 16 bit, millimetres", path, frame=frame)
         depth = stored.astype(np.float32) * np.float32(1e-3)

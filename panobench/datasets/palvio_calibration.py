@@ -18,6 +18,7 @@ from panobench.cameras.base import Camera
 from panobench.cameras.calibration import inspect_builtin, inspect_calibration
 from panobench.errors import CalibrationError
 from panobench.geometry import renormalise
+from panobench.reading import inside, number_array, parse_yaml, read_text
 
 Array = NDArray[np.float64]
 
@@ -61,13 +62,8 @@ def find_calibration(folder: Path) -> PalvioCalibration:
     path = folder / OVERRIDE
     if not path.is_file():
         return published_calibration()
-    import yaml
-
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        line = getattr(getattr(error, "problem_mark", None), "line", None)
-        raise CalibrationError("the file is not YAML", path, line=None if line is None else line + 1) from None
+    text = read_text(path, "the calibration file", error=CalibrationError)
+    values = parse_yaml(text, path, CalibrationError)
     if not isinstance(values, dict):
         raise CalibrationError("expected a table of values", path)
     unknown = sorted(set(map(str, values)) - {"camera", "body_T_cam", "time_offset_s", *_TOPICS})
@@ -83,23 +79,23 @@ def _changes(values: dict[str, Any], path: Path) -> dict[str, Any]:
     """The file's values as fields of PalvioCalibration."""
     changes: dict[str, Any] = {"source": str(path)} | {t: str(values[t]) for t in _TOPICS if t in values}
     if "camera" in values:
-        found = inspect_calibration(path.parent / str(values["camera"]))
+        file = inside(path.parent, str(values["camera"]))
+        if file is None:
+            raise CalibrationError("'camera' must name a calibration file beside this one", path)
+        found = inspect_calibration(file)
         changes["camera"] = found.camera
         if found.body_T_cam is not None:
             changes["body_T_cam"] = found.body_T_cam
         if found.time_offset_s is not None:
             changes["time_offset_s"] = found.time_offset_s
     if "body_T_cam" in values:
-        try:
-            T = np.array(values["body_T_cam"], dtype=np.float64)
-        except (TypeError, ValueError):
-            T = np.zeros(0)
+        T = number_array(values["body_T_cam"])
         if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2):
             raise CalibrationError("'body_T_cam' is not a rigid 4x4 matrix", path)
         changes["body_T_cam"] = renormalise(T)
     if "time_offset_s" in values:
         offset = values["time_offset_s"]
-        if not isinstance(offset, (int, float)) or not np.isfinite(offset):
+        if not isinstance(offset, (int, float)) or not abs(offset) < 1e9:
             raise CalibrationError(f"'time_offset_s' must be a number, not {offset!r}", path)
         changes["time_offset_s"] = float(offset)
     return changes

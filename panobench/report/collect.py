@@ -37,6 +37,8 @@ QUARANTINE = "_quarantine"
 #: Largest time difference, as a share of the median frame interval, for a pose to meet its ground truth.
 TIME_TOLERANCE = 0.4
 _RENDER = re.compile(r"^(novel_)?(\d+)\.(jpg|jpeg|png|webp)$", re.IGNORECASE)
+#: Beyond it sums and squares overflow; nothing that is measured comes near.
+_LARGEST = 1e100
 _SUFFIXES = ("jpg", "jpeg", "png", "webp")
 
 
@@ -119,7 +121,7 @@ def read_run(folder: Path) -> Run:
         errors = trajectory_errors(trajectory, groundtruth, alignment=_alignment(document, protocol))
         path, ate = groundtruth.path_length(), numbers.get("ate_rmse_m")
         if ate is not None and path > 0:
-            numbers["ate_percent"] = 100.0 * ate / path
+            numbers["ate_percent"] = _number(100.0 * ate / path)
     numbers.setdefault("map_gaussians", _number(_mapping(document.get("map")).get("gaussians")))
     return Run(
         folder=folder,
@@ -196,14 +198,19 @@ def _mapping(value: Any) -> dict[str, Any]:
     return dict(value) if isinstance(value, Mapping) else {}
 
 
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []
+
+
 def _number(value: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
-    return float(value) if math.isfinite(value) else None
+    return float(value) if abs(value) <= _LARGEST and math.isfinite(value) else None
 
 
 def _integer(value: Any) -> int | None:
-    return int(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+    number = _number(value)
+    return None if number is None else int(value)
 
 
 def _text(value: Any) -> str:
@@ -253,7 +260,7 @@ def _variant_text(value: Any) -> str:
 
 def _keyframes(document: Mapping[str, Any]) -> tuple[int, ...]:
     value = document.get("keyframes")
-    return tuple(int(k) for k in value if isinstance(k, (int, float))) if isinstance(value, list) else ()
+    return tuple(int(k) for k in value if _number(k) is not None) if isinstance(value, list) else ()
 
 
 def _optional_tum(path: Path, warnings: list[str]) -> Trajectory | None:
@@ -315,7 +322,7 @@ def _depth(folder: Path, document: Mapping[str, Any]) -> DepthPictures | None:
     if depth is None and confidence is None:
         return None
     about = _mapping(document.get("depth"))
-    span = [v for v in (about.get("range") or []) if _number(v) is not None]
+    span = [v for v in _list(about.get("range")) if _number(v) is not None]
     return DepthPictures(
         depth,
         confidence,

@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.datasets.images import decode_stored
+from panobench.errors import DatasetError
+
 #: Bytes of base64 text all pictures together may take; the page itself needs about 2.2 MB beside them.
 BUDGET = 6_500_000
 #: (frames per sequence, width in px, WebP quality), from generous to frugal.
@@ -71,14 +74,9 @@ def encode_file(path: Path, width: int, quality: int = 80) -> Picture | None:
 
 def read(path: Path) -> NDArray[np.uint8] | None:
     """A picture as 8-bit BGR or grey (H, W[, 3]); 16-bit ones are mapped to colours as depth. None if unreadable."""
-    import cv2
-
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError:
-        return None
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if image is None:
+        image = decode_stored(path.read_bytes(), path)
+    except (OSError, DatasetError):
         return None
     if image.dtype == np.uint16:
         return colour_depth(image.astype(np.float32))

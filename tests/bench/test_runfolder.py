@@ -68,7 +68,7 @@ def test_leavings_of_killed_runs_are_swept_but_not_those_of_living_ones(tmp_path
         (b"[]", "no status"),
         (b'{"schema": 1, "status": 7}', "no status"),
         (b'{"schema": 99, "status": "ok"}', "schema 99"),
-        (b"\xff\xfe\x00", "not valid JSON"),
+        (b"\xff\xfe\x00", "not UTF-8 text"),
         (b"[" * 100_000, "not valid JSON"),
     ],
 )

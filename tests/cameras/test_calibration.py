@@ -394,10 +394,10 @@ def test_files_that_are_not_text(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="missing"):
         read_calibration(path)
     path.write_bytes(b"\x89PNG\r\n\x1a\n\0\0")
-    with pytest.raises(CalibrationError, match="not a text file"):
+    with pytest.raises(CalibrationError, match=r"not a text file|not UTF-8 text"):
         read_calibration(path)
     path.write_bytes(b"a: 1\n" * 300_000)
-    with pytest.raises(CalibrationError, match="larger than 1024 KiB"):
+    with pytest.raises(CalibrationError, match="over 1 MiB, too large for calibration file"):
         read_calibration(path)
     with pytest.raises(CalibrationError, match="cannot be read"):
         read_calibration(tmp_path)

@@ -114,7 +114,7 @@ def test_nested_sequences_are_found_and_unfinished_ones_are_not(tmp_path: Path) 
         ("imu.csv", 2, "0.5,1,2,3,4,5", r"imu\.csv:2: the row has 6"),
         ("camera.yaml", 1, "model: erpp", r"camera\.yaml:1: unknown camera model 'erpp': did you mean 'erp'"),
         ("camera.yaml", 1, "model: [", r"camera\.yaml:\d: "),
-        ("meta.json", 1, "{{", r"meta\.json: the file is not JSON"),
+        ("meta.json", 1, "{{", r"meta\.json:1: not valid JSON"),
     ],
 )
 def test_bad_files_are_named(tmp_path: Path, file: str, line: int, text: str, message: str) -> None:

@@ -71,13 +71,13 @@ def test_360loc(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("{", "not JSON"),
+        ("{", "not valid JSON"),
         ("[]", "expected image names"),
         ('{"009.jpg": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}', "image '009.jpg' is missing"),
         ('{"000.jpg": [[1,0,0],[0,1,0]]}', "the pose of '000.jpg' is no 4x4 matrix"),
         ('{"000.jpg": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}', "the pose of '000.jpg' is not a rigid motion"),
         ('{"000.jpg": [["a",0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}', "no 4x4 matrix of numbers"),
-        ('{"000.jpg": [[1,0,0,NaN],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}', "not a rigid motion"),
+        ('{"000.jpg": [[1,0,0,NaN],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}', "NaN is not a number in JSON"),
     ],
 )
 def test_bad_360loc_poses(tmp_path: Path, content: str, message: str) -> None:

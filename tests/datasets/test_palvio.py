@@ -161,7 +161,7 @@ def test_a_calibration_file_beside_the_data_replaces_values(tmp_path: Path) -> N
     for text, message in [
         ("time_ofset: 1", "unknown key 'time_ofset'"),
         ("imu_topic: /vicon/pal/pal", "three different topics"),
-        ("[", "not YAML"),
+        ("[", "not valid YAML"),
         ("body_T_cam: [1, 2]", "not a rigid 4x4"),
         ("time_offset_s: soon", "must be a number"),
         ("camera: none.yaml", "none.yaml"),

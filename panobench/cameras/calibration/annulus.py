@@ -16,9 +16,13 @@ TOLERANCE_PX = 1.0
 
 def annulus_mask(width: int, height: int, centre: tuple[float, float], r_min: float, r_max: float) -> NDArray[np.bool_]:
     """(H, W): pixels whose centre is r_min..r_max pixels from ``centre`` (u, v; first pixel's centre at 0.5)."""
-    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    r = np.hypot(u - centre[0], v - centre[1])
-    return np.asarray((r >= r_min) & (r <= r_max))
+    u = np.arange(width) + 0.5 - centre[0]
+    v = np.arange(height) + 0.5 - centre[1]
+    mask = np.empty((height, width), dtype=bool)
+    for top in range(0, height, 256):  # in strips: the radii of a large image would take eight times the mask
+        r = np.hypot(u[None, :], v[top : top + 256, None])
+        mask[top : top + 256] = (r >= r_min) & (r <= r_max)
+    return mask
 
 
 def check_annulus(camera: ScaramuzzaCamera, annulus: tuple[float, float] | None = None) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from panobench.cameras.mei import MeiCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.errors import CalibrationError, UnknownNameError, UnsupportedError
 from panobench.geometry import invert_pose, renormalise
+from panobench.reading import number_array
 
 NAME = "kalibr"
 
@@ -77,12 +78,8 @@ def _camera(table: Table) -> Camera:
 def _body_T_cam(table: Table) -> Array | None:
     if "T_cam_imu" not in table:
         return None
-    rows = table["T_cam_imu"]
-    try:
-        T = np.array(rows, dtype=np.float64)
-    except (TypeError, ValueError):
-        T = np.zeros(0)
-    if T.shape != (4, 4) or not np.isfinite(T).all() or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2):
+    T = number_array(table["T_cam_imu"])
+    if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2):
         raise table.error("'T_cam_imu' is not a rigid 4x4 matrix", "T_cam_imu")
     return renormalise(invert_pose(renormalise(T)))
 

@@ -18,8 +18,9 @@ from panobench.cameras.calibration.result import Calibration, ReadOptions
 from panobench.cameras.calibration.text import Table, parse_yaml, read_text, write_text
 from panobench.cameras.factory import camera_from_dict
 from panobench.cameras.scaramuzza import ScaramuzzaCamera
-from panobench.errors import CalibrationError
+from panobench.errors import CalibrationError, DatasetError
 from panobench.geometry import renormalise
+from panobench.reading import inside, number_array
 
 NAME = "panobench"
 _EXTRA = ("mask", "annulus", "source", "body_T_cam", "time_offset_s")
@@ -68,19 +69,20 @@ def _ring(
 
 
 def _read_mask(table: Table, path: Path, camera: Camera) -> NDArray[np.bool_]:
-    import cv2
+    from panobench.datasets.images import decode_image  # reads no more than its limits allow
 
     name = table["mask"]
-    file = path.parent / str(name)
-    if not isinstance(name, str) or Path(name).is_absolute() or ".." in Path(name).parts:
+    file = inside(path.parent, name) if isinstance(name, str) else None
+    if file is None:
         raise table.error("'mask' must name a file beside the calibration", "mask")
     try:
-        data = np.fromfile(file, dtype=np.uint8) if file.stat().st_size <= 1 << 26 else np.zeros(0, np.uint8)
+        data = file.read_bytes() if file.stat().st_size <= 1 << 26 else b""
     except OSError:
         raise table.error(f"the mask file {name} is missing", "mask") from None
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
-    if image is None:
-        raise table.error(f"the mask file {name} is not an image", "mask")
+    try:
+        image = decode_image(data, file).max(axis=-1)
+    except DatasetError:
+        raise table.error(f"the mask file {name} is not an image", "mask") from None
     if image.shape != (camera.height, camera.width):
         raise table.error(
             f"the mask {name} is {image.shape[1]}x{image.shape[0]}, the camera {camera.width}x{camera.height}", "mask"
@@ -91,10 +93,7 @@ def _read_mask(table: Table, path: Path, camera: Camera) -> NDArray[np.bool_]:
 def _pose(table: Table) -> Array | None:
     if "body_T_cam" not in table:
         return None
-    try:
-        T = np.array(table["body_T_cam"], dtype=np.float64)
-    except (TypeError, ValueError):
-        T = np.zeros(0)
+    T = number_array(table["body_T_cam"])
     if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2):
         raise table.error("'body_T_cam' is not a rigid 4x4 matrix", "body_T_cam")
     return renormalise(T)

@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from panobench import reading
 from panobench.errors import CalibrationError
 
 #: No calibration is larger; a bigger file is something else.
@@ -72,21 +73,7 @@ def as_number(value: Any, error: Callable[[str], CalibrationError]) -> float:
 
 def read_text(path: Path) -> str:
     """The file's text (UTF-8). Raises CalibrationError when missing, too large or not text."""
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise CalibrationError("the calibration file is missing", path) from None
-    except OSError as error:
-        raise CalibrationError(f"cannot be read ({error.strerror})", path) from error
-    if len(data) > MAX_BYTES:
-        raise CalibrationError(f"larger than {MAX_BYTES >> 10} KiB: this is not a calibration file", path)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise CalibrationError("not a text file", path) from None
-    if "\0" in text:
-        raise CalibrationError("not a text file", path)
+    text = reading.read_text(path, "the calibration file", MAX_BYTES, CalibrationError)
     if not text.strip():
         raise CalibrationError("the file is empty", path)
     return text
@@ -135,10 +122,12 @@ def parse_yaml(text: str, path: Path) -> Table:
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
         line = None if mark is None else mark.line + 1
         raise CalibrationError(f"not valid YAML: {problem}", path, line=line) from None
-    except (ValueError, OverflowError) as error:  # impossible dates and the like
-        raise CalibrationError(f"not valid YAML: {error}", path) from None
     except RecursionError:
         raise CalibrationError("not a calibration: nested too deeply", path) from None
+    except CalibrationError:
+        raise
+    except Exception as error:  # PyYAML lets out whatever its constructors raise: KeyError, ValueError, ...
+        raise CalibrationError(f"not valid YAML: {error}", path) from None
     if not isinstance(data, Table):
         raise CalibrationError("a table of values is expected", path)
     return data
