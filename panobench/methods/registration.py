@@ -1,6 +1,8 @@
 """Specs of the built-in methods."""
 
+from panobench.methods.monogs.config import PRESETS as MONOGS_PRESETS
 from panobench.methods.panogs.config import PRESETS as PANOGS_PRESETS
+from panobench.methods.photoslam.config import PRESETS as PHOTOSLAM_PRESETS
 from panobench.methods.reconstruct.config import PRESETS as RECONSTRUCT_PRESETS
 from panobench.specs import MethodSpec
 
@@ -54,5 +56,27 @@ METHODS: tuple[MethodSpec, ...] = (
         install="built in",
         config="panobench.methods.reconstruct.config:ReconstructConfig",
         presets=RECONSTRUCT_PRESETS,
+    ),
+    MethodSpec(
+        "monogs",
+        "MonoGS as published: Gaussian splatting SLAM on pinhole images, on this package's renderer",
+        "panobench.methods.monogs.method:MonogsMethod",
+        cameras=("pinhole",),
+        licence="GPL-3.0-or-later",
+        citation="Matsuki et al., Gaussian Splatting SLAM (CVPR 2024); panobench's own code",
+        install="built in",
+        config="panobench.methods.monogs.config:MonogsConfig",
+        presets=MONOGS_PRESETS,
+    ),
+    MethodSpec(
+        "photoslam",
+        "feature tracking (sparse) with a Gaussian map: Photo-SLAM's composition, pinhole or panorama",
+        "panobench.methods.photoslam.method:PhotoslamMethod",
+        cameras=("erp", "pinhole", "pal", "fisheye"),
+        licence="GPL-3.0-or-later",
+        citation="Huang et al., Photo-SLAM (CVPR 2024); panobench's own code",
+        install="built in",
+        config="panobench.methods.photoslam.config:PhotoslamConfig",
+        presets=PHOTOSLAM_PRESETS,
     ),
 )

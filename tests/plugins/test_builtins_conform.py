@@ -11,7 +11,7 @@ from panobench.testing.conformance import Check, Options
 
 BUILT_IN = load_registry(entry_points=False)
 #: Methods whose defaults are too slow for a test.
-PRESETS = {"reconstruct": "fast"}
+PRESETS = {"monogs": "fast", "photoslam": "fast", "reconstruct": "fast"}
 
 
 def failed(checks: list[Check]) -> list[str]:

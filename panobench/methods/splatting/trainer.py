@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,16 @@ from panobench.splat.loss import photometric_loss
 from panobench.splat.render import Gradients, Renderer, RenderOutput
 
 Array = NDArray[np.float64]
+
+
+class TrainingView(Protocol):
+    """What a step needs of a view; see ``PosedImage``."""
+
+    image: NDArray[np.uint8]
+    T_wc: Array
+    gain: float
+    offset: float
+    weights: F32
 
 
 @dataclass
@@ -85,7 +96,7 @@ class GaussianTrainer:
         self.pull, self.views = self.pull[which], self.views[which]
         self.adam.select(which)
 
-    def evaluate(self, view: PosedImage, renderer: Renderer | None = None) -> ViewGradient:
+    def evaluate(self, view: TrainingView, renderer: Renderer | None = None) -> ViewGradient:
         """Loss and gradients of one view; nothing is changed."""
         renderer = renderer or self.renderer
         out = renderer.forward(self.map, view.T_wc)
@@ -95,7 +106,7 @@ class GaussianTrainer:
         return ViewGradient(loss, renderer.backward(d_planes, planar=True), d_exposure, out)
 
     def step(
-        self, views: Sequence[PosedImage], rates: LearningRates, renderer: Renderer | None = None
+        self, views: Sequence[TrainingView], rates: LearningRates, renderer: Renderer | None = None
     ) -> list[ViewGradient]:
         """One Adam step on the summed losses of ``views``. renderer: another camera's, for smaller images."""
         results, total = [], None
