@@ -24,6 +24,8 @@ from panobench.writing import writing
 
 #: Seconds between looks whether a cell is still wanted.
 _POLL_S = 1.0
+#: How long a scheduler is waited for, seconds.
+CONNECT_S = 30.0
 #: A larger run folder is refused rather than unpacked.
 MAX_UNPACKED_BYTES = 4 << 30
 
@@ -48,7 +50,7 @@ class DaskCompute:
                 n_workers=jobs, threads_per_worker=1, dashboard_address=None, memory_limit=0
             )
         try:
-            self.client = distributed.Client(self._cluster or scheduler, timeout=30)
+            self.client = distributed.Client(self._cluster or scheduler, timeout=CONNECT_S)
         except (OSError, ValueError) as error:
             raise UsageError(f"--scheduler {scheduler}: cannot be reached ({error})") from error
         self.parallel = max(jobs, sum(self.client.nthreads().values()))

@@ -43,7 +43,7 @@ def plan_of(store: Store, cells: list[Cell]) -> Any:
 
 @pytest.mark.slow
 def test_results_are_those_of_the_local_executor(tmp_path: Path) -> None:
-    cells = [cell("still"), cell("still", 1), cell("exit"), cell("crash"), cell("absent")]
+    cells = [cell("still"), cell("exit"), cell("absent")]
     here, there = Store(tmp_path / "here"), Store(tmp_path / "there")
     SuiteRunner(here, "s", Silent(), compute=compute).run(plan_of(here, cells), 2)
     with module.DaskCompute(None, 2) as dask:
@@ -55,13 +55,7 @@ def test_results_are_those_of_the_local_executor(tmp_path: Path) -> None:
         for name in ("trajectory.tum",):
             assert (here.folder(c) / name).read_bytes() == (there.folder(c) / name).read_bytes()
         assert sorted(p.name for p in here.folder(c).rglob("*")) == sorted(p.name for p in there.folder(c).rglob("*"))
-    assert [read_run_json(there.folder(c))["status"] for c in cells] == [
-        "ok",
-        "ok",
-        "crashed",
-        "crashed",
-        "unavailable",
-    ]
+    assert [read_run_json(there.folder(c))["status"] for c in cells] == ["ok", "crashed", "unavailable"]
 
 
 @pytest.mark.slow
@@ -127,7 +121,8 @@ def test_a_worker_with_other_code_is_refused() -> None:
         module.run_remotely(cell("still").to_dict(), "another key", {})
 
 
-def test_a_scheduler_that_is_not_there() -> None:
+def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "CONNECT_S", 1.0)
     with pytest.raises(UsageError, match=r"--scheduler tcp://127\.0\.0\.1:1: cannot be reached"):
         module.DaskCompute("tcp://127.0.0.1:1", 1)
 
