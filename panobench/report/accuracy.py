@@ -122,12 +122,16 @@ def _row(
 def _published_row(label: str, values: Sequence[float | None], unit: str, common: Sequence[int]) -> Row:
     cells = [Cell(label)]
     for value in values:
-        failed = Cell(FAILED, failed=True, about="failure in the source")
-        cells.append(failed if value is None else Cell(length_text(value, unit), value))
+        if value is None:
+            cells.append(Cell(FAILED, failed=True, about="failure in the source"))
+        else:
+            absent = Cell(NOT_RUN, about="nothing is published")
+            cells.append(absent if math.isnan(value) else Cell(length_text(value, unit), value))
     if len(values) > 1:
-        done = sum(v is not None for v in values)
-        cells.append(Cell(f"{done}/{len(values)}", float(done)))
-        shared = [v for j in common if (v := values[j]) is not None]
+        tried = sum(v is None or not math.isnan(v) for v in values)
+        done = sum(v is not None and not math.isnan(v) for v in values)
+        cells.append(Cell(f"{done}/{tried}", float(done)))
+        shared = [v for j in common if (v := values[j]) is not None and not math.isnan(v)]
         mean = math.exp(sum(map(math.log, shared)) / len(shared)) if shared and len(shared) == len(common) else None
         cells.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
     return Row(tuple(cells), "published", {"method": label, "status": "published"})

@@ -18,6 +18,8 @@ from panobench.report.model import Array, Errors, Run
 MAX_POINTS = 800
 #: An axis is logarithmic when its traces' medians differ by more than this factor.
 LOG_FROM = 15.0
+#: And when a value lies that far above its trace's median: on a linear axis only the peak would be seen.
+LOG_FROM_PEAK = 40.0
 Figure = dict[str, Any]
 
 
@@ -100,7 +102,7 @@ def trajectory_figures(runs: Sequence[Run], labels: Sequence[str], colours: Sequ
             "xaxis": axis,
             "yaxis": {"title": {"text": f"y [{unit}]"}},
             "zaxis": {"title": {"text": f"up [{unit}]"}},
-            "camera": {"eye": {"x": 1.0, "y": -1.5, "z": 1.35}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}},
+            "camera": {"eye": {"x": 1.1, "y": -1.65, "z": 1.5}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}},
         }
     }
     layout2 = {
@@ -224,7 +226,9 @@ def _line(x: Array, y: Array, name: str, run: int, colour: int) -> dict[str, Any
 
 def _time_figure(data: list[dict[str, Any]], title: str, x: str) -> Figure:
     medians = [float(np.median(known)) for trace in data if (known := [v for v in trace["y"] if v is not None])]
-    yaxis = {"title": {"text": title}, **value_axis(medians)}
+    peaks = [max(known) for trace in data if (known := [v for v in trace["y"] if v is not None])]
+    peaked = any(low > 0 and high > LOG_FROM_PEAK * low for low, high in zip(medians, peaks))
+    yaxis = {"title": {"text": title}, **({"type": "log"} if peaked else value_axis(medians))}
     if yaxis["type"] == "log":
         everything = [v for trace in data for v in trace["y"] if v is not None and v > 0]
         yaxis |= log_axis(everything)

@@ -69,8 +69,8 @@ def make_gallery(collection: Collection, assets: Path | None = None) -> Gallery:
 def viewer(runs: Sequence[Run], labels: Sequence[str], gallery: Gallery) -> dict[str, Any] | None:
     """Data of the viewer of one sequence, None without pictures.
 
-    Keys: frames (indices), start (which entry of runs is shown first), runs (each label, run and images:
-    frame -> [render key, truth key or None]), width, height, panorama (whether one can look around in it).
+    Keys: frames (indices), start (which entry of runs is shown first), panorama (whether one can look around in any),
+    runs (each label, run, width, height, panorama, and images: frame -> [render key, truth key or None]).
     """
     frames = choose_frames(runs, gallery.plan.frames)
     shown: list[dict[str, Any]] = []
@@ -85,19 +85,19 @@ def viewer(runs: Sequence[Run], labels: Sequence[str], gallery: Gallery) -> dict
             if render is not None:
                 images[str(frame)] = [render, gallery.add(pair.truth)]
         if images:
-            shown.append({"label": labels[i], "run": i, "images": images})
+            width, height = gallery.sizes[str(next(iter(images.values()))[0])]
+            around = width == 2 * height and run.variant.get("camera", "erp").startswith("erp")
+            about = {"label": labels[i], "run": i, "width": width, "height": height, "panorama": around}
+            shown.append({**about, "images": images})
     if not shown:
         return None
     present = sorted({int(f) for entry in shown for f in entry["images"]})
-    first = next(iter(shown[0]["images"].values()))[0]
-    width, height = gallery.sizes[str(first)]
     return {
         "frames": present,
         "runs": shown,
-        "start": max(range(len(shown)), key=lambda k: _quality(runs[shown[k]["run"]])),
-        "width": width,
-        "height": height,
-        "panorama": width == 2 * height and runs[shown[0]["run"]].variant.get("camera", "erp").startswith("erp"),
+        # a panorama before the views of other cameras, whose scores are not comparable
+        "start": max(range(len(shown)), key=lambda k: (shown[k]["panorama"], *_quality(runs[shown[k]["run"]]))),
+        "panorama": any(entry["panorama"] for entry in shown),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,19 +46,21 @@ def published_block(
 ) -> tuple[list[tuple[str, list[float | None]]], tuple[str, ...]]:
     """(label, ATE per sequence in ``unit``) rows for a dataset, and the notes that must stand below them.
 
-    Empty when nothing is published for it, or for none of these sequences. None is a printed failure.
+    Empty when nothing is published for it, or for none of these sequences. None is a printed failure, NaN a sequence
+    nothing is published for.
     """
     name, caveat = _TABLES.get(dataset, ("", ""))
     table = published.tables.get(name)
-    if not table or not set(sequences) <= set(table["sequences"]):
+    if not table or not set(sequences) & set(table["sequences"]):
         return [], ()
-    where = [table["sequences"].index(s) for s in sequences]
+    names = list(table["sequences"])
     rows = []
     for method, entry in table.items():
         if method == "sequences":
             continue
         values = entry["values"] if isinstance(entry, Mapping) else entry
         label = f"{method} + IMU" if isinstance(entry, Mapping) and entry.get("imu") else method
-        rows.append((label, [None if values[i] is None else float(values[i]) * scale for i in where]))
+        figures = [values[names.index(s)] if s in names else math.nan for s in sequences]
+        rows.append((label, [None if v is None else float(v) * scale for v in figures]))
     source = f"Rows marked “published” are figures printed in {published.source} ({published.platform}), not measured."
     return rows, tuple(note for note in (source, caveat) if note)

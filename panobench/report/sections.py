@@ -61,7 +61,7 @@ def place_section(
     trace = map_trace(runs[drawn], figures.upright(runs)) if drawn is not None else None
     if trace is not None:
         spatial["data"].append(trace)
-        spatial["layout"]["scene"]["camera"]["eye"] = {"x": 0.85, "y": -1.2, "z": 1.15}
+        spatial["layout"]["scene"]["camera"]["eye"] = {"x": 0.98, "y": -1.38, "z": 1.32}
     described = [f"{label}: {figures.describe_errors(r.errors)}" for r, label in zip(runs, labels) if r.errors]
     about = "Position error after alignment. " + "; ".join(described)
     add("3d", "Trajectory", "Aligned trajectories and ground truth in space", spatial, size="wide", spatial=True)

@@ -80,7 +80,8 @@ def run_tables(collection: Collection, published: Published | None = None) -> li
     """The tables of the runs alone."""
     grouped = variants(collection)
     tables: list[Table] = []
-    for dataset in sorted({run.dataset for run in collection.runs}):
+    works = {run.dataset for run in collection.runs if not failure(run)}
+    for dataset in sorted({run.dataset for run in collection.runs}, key=lambda name: (name not in works, name)):
         tables.append(accuracy_table(dataset, grouped, published))
     tables.append(quantity_table("rendering", "Rendering quality", RENDERING, grouped))
     tables.append(quantity_table("cost", "Cost", COST, grouped))

@@ -56,6 +56,8 @@ def _differing(collection: Collection) -> set[str]:
             by_method: dict[str, set[str]] = defaultdict(set)
             for run in runs:
                 by_method[run.method].add(run.variant.get(key, ""))
+            if key == "depth":  # unknown where a run failed before it chose one
+                by_method = {method: values - {""} for method, values in by_method.items()}
             given = {value for values in by_method.values() for value in values} - {""}
             if any(len(v) > 1 for v in by_method.values()) or (key in INPUT_KEYS and len(given) > 1):
                 found.add(key)

@@ -119,6 +119,9 @@ PB.pano = (() => {
       const run = data.runs[state.run], frame = data.frames[state.frame];
       const pair = run.images[frame];
       state.ready = false;
+      stage.style.aspectRatio = `${run.width} / ${run.height}`;
+      figure.classList.toggle("no-panorama", !run.panorama);
+      if (!run.panorama && state.view === "look") setView("flat");
       stage.dataset.missing = pair ? "no" : "yes";
       if (!pair) { caption.textContent = `${run.label} has no picture of frame ${frame}.`; return; }
       const [render, truth] = pair;
@@ -139,7 +142,12 @@ PB.pano = (() => {
       await Promise.all([images.render.decode(), images.truth.decode()]).catch(() => {});
       state.ready = images.render.naturalWidth > 0;
       repaint();
-      if (state.ready) paintViews();
+      if (state.ready && run.panorama) paintViews();
+    }
+    function setView(view) {
+      state.view = view;
+      PB.press(figure.querySelector("[data-view]").parentNode, figure.querySelector(`button[data-view="${view}"]`));
+      repaint();
     }
     function setMode(mode) {
       state.mode = mode;
@@ -150,7 +158,7 @@ PB.pano = (() => {
       const button = event.target.closest("button");
       if (!button) return;
       if (button.dataset.mode) setMode(button.dataset.mode);
-      else { state.view = button.dataset.view; PB.press(button.parentNode, button); repaint(); }
+      else setView(button.dataset.view);
     });
     figure.addEventListener("input", event => {
       const pick = event.target.dataset.pick;
