@@ -1,0 +1,115 @@
+"""The documentation as a site: complete, without dead links, and its newcomer's tutorial works."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+import yaml
+from document_blocks import DOCS, blocks, make_environment, run_block
+
+PAGES = sorted(DOCS.rglob("*.md"))
+ROOT = DOCS.parent
+
+
+def titles(nav: Any) -> list[str]:
+    """The files a navigation names."""
+    if isinstance(nav, str):
+        return [nav]
+    entries = nav.values() if isinstance(nav, dict) else nav
+    return [name for entry in entries for name in titles(entry)]
+
+
+def anchor(heading: str) -> str:
+    words = re.sub(r"[^\w\s-]", "", re.sub(r"`|\*", "", heading)).strip().lower()
+    return re.sub(r"[-\s]+", "-", words)
+
+
+def prose(page: Path) -> str:
+    """A page without its code."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"`[^`\n]*`", "", text)
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    named = titles(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])
+    assert sorted(named) == [str(p.relative_to(DOCS)) for p in PAGES]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(DOCS)))
+def test_links_between_pages_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if "://" in target:
+            continue
+        name, _, place = target.partition("#")
+        other = (page.parent / name).resolve() if name else page
+        assert other.is_file(), target
+        assert other.is_relative_to(DOCS), f"{target} is outside of the site"
+        if place:
+            headings = re.findall(r"^#+ (.+)$", other.read_text(encoding="utf-8"), re.MULTILINE)
+            assert place in [anchor(h) for h in headings], target
+
+
+def test_the_site_builds(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="needs the extra 'docs'")
+    pytest.importorskip("material", reason="needs the extra 'docs'")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-f", str(ROOT / "mkdocs.yml")]
+    done = subprocess.run([*command, "-d", str(tmp_path / "site")], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    assert not re.findall(r'(?:src|href)="https?://fonts', page)
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with ``walk.mp4``: the first frames of a built-in room."""
+    from panobench.datasets.open import open_sequence
+
+    folder = tmp_path_factory.mktemp("walk")
+    room = open_sequence("rooms", "tiny+frames16", None, 256)
+    video = cv2.VideoWriter(str(folder / "walk.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10, (256, 128))
+    if not video.isOpened():
+        pytest.skip("this OpenCV cannot write videos")
+    for i in range(len(room)):
+        video.write(cv2.cvtColor(room.image(i), cv2.COLOR_RGB2BGR))
+    video.release()
+    return folder
+
+
+@pytest.mark.slow
+def test_the_video_tutorial_works_from_the_first_command_to_the_last(walk: Path) -> None:
+    environment = make_environment(walk / "venv")
+    for block in blocks(DOCS / "tutorial-video.md"):
+        small = type(block)(block.language, block.text.replace("--width 512", "--width 256"), block.line)
+        run_block(small, walk, environment)
+    assert (walk / "walk.html").is_file()
+    assert (walk / "runs" / "panogs" / "map.ply").stat().st_size > 1000
+    assert "2 methods on walk" in (walk / "walk-report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", ["suites.md", "studies.md", "report.md", "datasets.md", "faq.md", "tutorial-video.md"])
+def test_commands_and_options_that_pages_name_exist(page: str) -> None:
+    """`panobench COMMAND --option` in text or blocks: the command is there and has the option."""
+    import typer
+
+    from panobench.cli.commands import COMMANDS
+    from panobench.cli.lazy import load_command
+
+    text = (DOCS / page).read_text(encoding="utf-8").replace("\\\n", " ")
+    for line in re.findall(r"panobench ((?:[a-z]+ ?)+[^\n`#|]*)", text):
+        words = line.split()
+        if words[0] not in COMMANDS:
+            continue
+        command: Any = load_command(words[0])
+        if hasattr(command, "commands"):
+            if len(words) < 2 or words[1] not in command.commands:
+                continue
+            command = command.commands[words[1]]
+        known = {o for p in command.get_params(typer.Context(command)) for o in (*p.opts, *p.secondary_opts)}
+        used = {w.partition("=")[0] for w in words if re.fullmatch(r"--[a-z][a-z-]*(=.*)?", w)}
+        assert used <= known | {"--help"}, line
