@@ -107,8 +107,15 @@ def _source(name: str) -> str | None:
         return None
 
 
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    """Top-level package -> its distributions. Finding out reads the file list of everything installed."""
+    return importlib.metadata.packages_distributions()
+
+
+@cache
 def _version_of(name: str) -> str:
-    distributions = importlib.metadata.packages_distributions().get(name.partition(".")[0], ())
+    distributions = _distributions().get(name.partition(".")[0], ())
     return " ".join(f"{d} {importlib.metadata.version(d)}" for d in sorted(set(distributions)))
 
 
