@@ -88,7 +88,8 @@ def track_online(
         except Exception as error:
             _blame(error, result, where)
     if stop.requested:
-        result.status, result.message = RunStatus.INTERRUPTED, f"interrupted after frame {result.given - 1}"
+        when = f"after frame {result.given - 1}" if result.given else "before the first frame"
+        result.status, result.message = RunStatus.INTERRUPTED, f"interrupted {when}"
     result.wall_s = time.perf_counter() - begin
     if result.estimate is None:
         result.estimate = Estimate(_trajectory(result.live, sequence))
