@@ -27,6 +27,10 @@ def report(
     assets: Annotated[
         bool, typer.Option("--assets", help="Also put full-size pictures into a folder beside the page.")
     ] = False,
+    max_mb: Annotated[float, typer.Option(help="What the page may weigh, MB; pictures are shrunk to fit.")] = 10.0,
+    hide_paths: Annotated[
+        bool, typer.Option("--hide-paths", help="Show only the last part of paths: for pages that are published.")
+    ] = False,
 ) -> None:
     """Write a report about finished runs."""
     from panobench.report.build import write_report
@@ -39,11 +43,15 @@ def report(
         tables=table or (),
         with_published=published,
         assets=assets,
+        max_mb=max_mb,
+        hide_paths=hide_paths,
     )
     for problem in collection.problems:
         print(f"warning: {problem.folder} is not readable: {problem.message}", file=sys.stderr)
     count = len(collection.runs)
     size = output.stat().st_size
+    if output.suffix.lower() in (".html", ".htm") and size > max_mb * 1e6:
+        print(f"warning: the page is larger than {max_mb:g} MB even with its smallest pictures", file=sys.stderr)
     amount = f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
     studies = len(collection.studies)
     also = f" and {studies} stud{'ies' if studies != 1 else 'y'}" if studies else ""

@@ -264,7 +264,7 @@ def _keyframes(document: Mapping[str, Any]) -> tuple[int, ...]:
 
 
 def _optional_tum(path: Path, warnings: list[str]) -> Trajectory | None:
-    if not path.is_file():
+    if not path.is_file() or path.stat().st_size == 0:  # empty: it failed before the first pose
         return None
     try:
         trajectory = read_tum(path)

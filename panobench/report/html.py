@@ -18,7 +18,8 @@ from markupsafe import Markup
 from panobench import __version__
 from panobench.errors import UnavailableError
 from panobench.report.headline import default_title, facts, measurements, tiles
-from panobench.report.mapview import map_size
+from panobench.report.images import BUDGET, SMALLEST
+from panobench.report.mapview import MOST, MOST_IN_ALL, map_size
 from panobench.report.model import Collection, Run
 from panobench.report.panoramas import Gallery, copy_map, make_gallery
 from panobench.report.published import Published
@@ -30,6 +31,10 @@ from panobench.report.tables import run_tables
 from panobench.report.variants import variants
 
 _TEMPLATES = Path(__file__).parent / "templates"
+#: What a page may weigh: mail servers and repositories take it, browsers open it at once.
+MAX_BYTES = 10_000_000
+#: Times the page is made to fit its limit.
+_ATTEMPTS = 4
 _SCRIPTS = ("core.js", "tables.js", "plots.js", "pano.js", "main.js")
 
 
@@ -40,15 +45,33 @@ def build_html(
     published: Published | None = None,
     assets: Path | None = None,
     now: datetime | None = None,
+    max_bytes: int = MAX_BYTES,
 ) -> str:
-    """The whole page as text. ``assets``: folder that receives full-size pictures, linked relatively."""
+    """The whole page as text. ``assets``: folder that receives full-size pictures, linked relatively.
+
+    Pictures are shrunk until the page fits into ``max_bytes``, as far as shrinking them can achieve that.
+    """
+    budget = min(BUDGET, max_bytes)
+    for _ in range(_ATTEMPTS):
+        gallery = make_gallery(collection, assets, budget)
+        text = _page(collection, gallery, title, published, now or datetime.now(timezone.utc))
+        excess = len(text.encode()) - max_bytes
+        if excess <= 0 or gallery.plan == SMALLEST:
+            break
+        budget = max(0, min(budget, sum(map(len, gallery.store.values()))) - round(1.05 * excess))
+    return text
+
+
+def _page(
+    collection: Collection, gallery: Gallery, title: str | None, published: Published | None, now: datetime
+) -> str:
     grouped = variants(collection)
     label_of = {id(run): variant.label for variant, runs in grouped.items() for run in runs}
     colour_of = {id(run): i for i, runs in enumerate(grouped.values()) for run in runs}
-    gallery = make_gallery(collection, assets)
     data: dict[str, Any] = {"figures": {}, "viewers": {}}
+    map_points = min(MOST, MOST_IN_ALL // max(1, len(collection.places())))
     places = [
-        place_section(i, collection.at(place), label_of, colour_of, gallery, data)
+        place_section(i, collection.at(place), label_of, colour_of, gallery, data, map_points)
         for i, place in enumerate(sorted(collection.places(), key=lambda p: (p[0], natural(p[1]))))
     ]
     data["images"], data["links"] = gallery.store, gallery.links
@@ -56,7 +79,7 @@ def build_html(
     studies = [study_section(i, study, data) for i, study in enumerate(collection.studies)]
     context = {
         "title": title or default_title(collection, grouped),
-        "facts": facts(collection, now or datetime.now(timezone.utc)),
+        "facts": facts(collection, now),
         "tiles": tiles(collection, grouped),
         "tables": tables if len(collection.runs) > 1 else [],
         "measurements": measurements(collection.runs[0]) if len(collection.runs) == 1 else [],

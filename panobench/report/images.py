@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from panobench.datasets.images import decode_stored
 from panobench.errors import DatasetError
 
-#: Bytes of base64 text all pictures together may take; the page itself needs about 2.2 MB beside them.
+#: Bytes of base64 text all pictures together may take, unless the page's limit leaves less.
 BUDGET = 6_500_000
 #: (frames per sequence, width in px, WebP quality), from generous to frugal.
 LADDER = (
@@ -49,6 +49,9 @@ class Picture:
     height: int
 
 
+SMALLEST = Plan(*LADDER[-1])
+
+
 def plan(sets: Sequence[Sequence[Path]], budget: int = BUDGET) -> Plan:
     """The most generous plan whose estimated size fits; the last one if none does.
 
@@ -63,7 +66,7 @@ def plan(sets: Sequence[Sequence[Path]], budget: int = BUDGET) -> Plan:
         count = sum(min(len(paths), 2 * frames) for paths in sets)
         if count * sum(sizes) / len(sizes) <= budget:
             return Plan(frames, width, quality)
-    return Plan(*LADDER[-1])
+    return SMALLEST
 
 
 def encode_file(path: Path, width: int, quality: int = 80) -> Picture | None:

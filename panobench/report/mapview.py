@@ -11,15 +11,15 @@ from panobench.errors import InputError
 from panobench.report.figures import numbers
 from panobench.report.model import Array, Run
 
-#: Gaussians shown; more would cost more bytes and frames per second than they tell.
-MOST = 5000
+#: Gaussians shown of a map, and of all maps of a page; more would cost more bytes and frames per second than they tell.
+MOST, MOST_IN_ALL = 5000, 30_000
 _MIN_OPACITY = 0.5
 #: Gaussians higher than this share of the way from eye level to the top of the map are left out: one looks
 #: into a room from above, and a ceiling would hide it.
 _OPEN_FROM = 0.55
 
 
-def map_trace(run: Run, turn: Array, *, seed: int = 0) -> dict[str, Any] | None:
+def map_trace(run: Run, turn: Array, *, most: int = MOST, seed: int = 0) -> dict[str, Any] | None:
     """A Plotly trace of the run's map in the world of the plot; None when there is no readable map.
 
     turn: rotation (3, 3) from the ground truth's world into the plot's, whose z is up. The sample is drawn
@@ -51,10 +51,10 @@ def map_trace(run: Run, turn: Array, *, seed: int = 0) -> dict[str, Any] | None:
         axis=1
     )
     chosen = np.flatnonzero(keep)
-    if len(chosen) > MOST:
+    if len(chosen) > most:
         weight = np.minimum(extent[chosen], np.quantile(extent[chosen], 0.95))
         rng = np.random.default_rng(seed)
-        chosen = np.sort(rng.choice(chosen, MOST, replace=False, p=weight / weight.sum()))
+        chosen = np.sort(rng.choice(chosen, most, replace=False, p=weight / weight.sum()))
     if len(chosen) == 0:
         return None
     colours = (np.clip(np.asarray(gaussians.colours)[chosen], 0, 1) * 255).round().astype(int)

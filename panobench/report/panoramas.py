@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from panobench.report.images import Picture, Plan, encode_file, plan, spread
+from panobench.report.images import BUDGET, Picture, Plan, encode_file, plan, spread
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
 from panobench.writing import write_whole
@@ -60,10 +60,10 @@ def copy_map(run: Run, gallery: Gallery, number: int) -> str | None:
     return f"{gallery.assets.name}/{target.name}"
 
 
-def make_gallery(collection: Collection, assets: Path | None = None) -> Gallery:
-    """A gallery whose plan (frames, width, quality) fits this collection into the budget."""
+def make_gallery(collection: Collection, assets: Path | None = None, budget: int = BUDGET) -> Gallery:
+    """A gallery whose plan (frames, width, quality) fits this collection into the budget, bytes."""
     sets = [[path for pair in run.pairs for path in (pair.render, pair.truth) if path] for run in collection.runs]
-    return Gallery(plan(sets), assets)
+    return Gallery(plan(sets, budget), assets)
 
 
 def viewer(runs: Sequence[Run], labels: Sequence[str], gallery: Gallery) -> dict[str, Any] | None:

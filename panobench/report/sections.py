@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from panobench.report import figures
-from panobench.report.mapview import map_size, map_trace
+from panobench.report.mapview import MOST, map_size, map_trace
 from panobench.report.model import Run
 from panobench.report.panoramas import Gallery, depth_pictures, novel_pictures, viewer
 from panobench.report.ranking import failure
@@ -44,8 +44,12 @@ def place_section(
     colour_of: Mapping[int, int],
     gallery: Gallery,
     data: dict[str, Any],
+    map_points: int = MOST,
 ) -> dict[str, Any]:
-    """One sequence: its viewer, charts, and initial depths. Figures and viewer data go into ``data``."""
+    """One sequence: its viewer, charts, and initial depths. Figures and viewer data go into ``data``.
+
+    map_points: of the map drawn behind the trajectories.
+    """
     key = f"seq{number}"
     labels = _unique_labels(runs, label_of)
     colours = [colour_of[id(r)] for r in runs]
@@ -58,7 +62,7 @@ def place_section(
 
     spatial, plan = figures.trajectory_figures(runs, labels, colours)
     drawn = best_map(runs)
-    trace = map_trace(runs[drawn], figures.upright(runs)) if drawn is not None else None
+    trace = map_trace(runs[drawn], figures.upright(runs), most=map_points) if drawn is not None else None
     if trace is not None:
         spatial["data"].append(trace)
         spatial["layout"]["scene"]["camera"]["eye"] = {"x": 0.98, "y": -1.38, "z": 1.32}

@@ -16,34 +16,42 @@ FULL_TURN = 360.0
 
 @dataclass(frozen=True)
 class FovOptions(RunOptions):
-    """fov: horizontal, degrees, of panoramas whose other pixels are invalid. pinhole: also the paper's 120x60 view."""
+    """fov: horizontal, degrees, of panoramas whose other pixels are invalid. pinhole: also the paper's 120x60 view.
+
+    baseline: a pinhole method to stand beside it on that view, None for none.
+    """
 
     fov: tuple[float, ...] = (120.0, 200.0, 280.0, 360.0)
     pinhole: bool = True
+    baseline: str | None = "monogs"
 
 
 def run(study: StudyRequest) -> StudyResult:
     """ATE per sequence and field of view."""
-    options = study.choose(FovOptions(), QUICK)
-    rows: list[tuple[str, str, dict[str, Any]]] = []
+    options = study.choose(FovOptions(), {**QUICK, "baseline": None})
+    label = f"{options.method} {options.preset}" if options.preset else options.method
+    rows: list[tuple[str, str, str, dict[str, Any]]] = []
+    view = {"camera": "pinhole:front", "width": pinhole_width(options.width)}
+    if options.baseline:
+        own = {"method": options.baseline, "preset": None, "depth": None}
+        rows.append((options.baseline, "pinhole", "120° x 60°", {**view, **own}))
     if options.pinhole:
-        rows.append(("pinhole", "120° x 60°", {"camera": "pinhole:front", "width": pinhole_width(options.width)}))
+        rows.append((label, "pinhole", "120° x 60°", view))
     for degrees in options.fov:
-        rows.append(("panorama", f"{degrees:g}°", {"fov": None if degrees >= FULL_TURN else f"{degrees:g}"}))
+        rows.append((label, "panorama", f"{degrees:g}°", {"fov": None if degrees >= FULL_TURN else f"{degrees:g}"}))
     cells = {
-        (camera, text, sequence): [options.cell(sequence, seed, **changes) for seed in options.seeds]
-        for camera, text, changes in rows
+        (method, camera, text, sequence): [options.cell(sequence, seed, **changes) for seed in options.seeds]
+        for method, camera, text, changes in rows
         for sequence in options.sequences
     }
     flat = [cell for group in cells.values() for cell in group]
     results = run_cells(study, "fov", flat)
-    label = f"{options.method} {options.preset}" if options.preset else options.method
     table, points = [], []
-    for camera, text, _ in rows:
-        groups = [cells[camera, text, s] for s in options.sequences]
+    for method, camera, text, _ in rows:
+        groups = [cells[method, camera, text, s] for s in options.sequences]
         errors = [median(results, group, "ate_rmse_m", 100.0) for group in groups]
         tracked = mean([median(results, group, "tracked", 100.0, higher_is_better=True) for group in groups])
-        row: dict[str, Any] = {"Method": label, "Camera": camera, "FoV": text}
+        row: dict[str, Any] = {"Method": method, "Camera": camera, "FoV": text}
         row |= {f"{s} [cm] ↓": e for s, e in zip(options.sequences, errors)}
         table.append({**row, "Mean [cm] ↓": mean(errors), "Tracked [%] ↑": tracked, "source": "measured"})
         if camera == "panorama":

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from panobench.errors import UsageError
 from panobench.report.published import load_published
 from panobench.studies.base import StudyRequest, StudyResult
 from panobench.studies.cells import FAILED, QUICK, RunOptions, mean, median, reasons, run_cells
+from panobench.studies.fov import pinhole_width
 from panobench.studies.published import source_notes
 
 PAPER_COUNTS = ("15/30", "30/50", "50/80", "100/100")
@@ -16,35 +17,50 @@ PAPER_COUNTS = ("15/30", "30/50", "50/80", "100/100")
 
 @dataclass(frozen=True)
 class IterationOptions(RunOptions):
-    """counts: front-end/back-end iterations, set as options tracking_iterations and mapping_iterations."""
+    """counts: front-end/back-end iterations, set as options tracking_iterations and mapping_iterations.
+
+    baseline: a pinhole method with the same two options to stand beside it, None for none.
+    """
 
     preset: str | None = "paper"
     sequences: tuple[str, ...] = ("room1",)
     counts: tuple[str, ...] = PAPER_COUNTS
+    baseline: str | None = "monogs"
 
 
 def run(study: StudyRequest) -> StudyResult:
     """ATE and frames per second for each pair of counts, and for the method's default preset."""
-    options = study.choose(IterationOptions(), {**QUICK, "max_frames": 12, "counts": PAPER_COUNTS[:2]})
-    cells = {}
+    options = study.choose(
+        IterationOptions(), {**QUICK, "max_frames": 12, "counts": PAPER_COUNTS[:2], "baseline": None}
+    )
+    label = f"{options.method} {options.preset}" if options.preset else options.method
+    runs: dict[tuple[str, str], dict[str, Any]] = {}
     for text in options.counts:
         front, back = parse_counts(text)
-        settings = {"tracking_iterations": front, "mapping_iterations": back}
-        cells[text] = [[options.cell(s, seed, settings=settings) for seed in options.seeds] for s in options.sequences]
-    default = replace(options, preset=None)
-    cells["default"] = [[default.cell(s, seed) for seed in options.seeds] for s in options.sequences]
+        settings = {"settings": {"tracking_iterations": front, "mapping_iterations": back}}
+        if options.baseline:
+            view = {"camera": "pinhole:front", "width": pinhole_width(options.width)}
+            runs[options.baseline, text] = {
+                **settings, **view, "method": options.baseline, "preset": None, "depth": None,
+            }  # fmt: skip
+        runs[label, text] = settings
+    runs[options.method, "its default preset"] = {"preset": None}
+    runs = dict(sorted(runs.items(), key=lambda item: item[0][0] != options.baseline))
+    cells = {
+        key: [[options.cell(s, seed, **changes) for seed in options.seeds] for s in options.sequences]
+        for key, changes in runs.items()
+    }
     flat = [cell for groups in cells.values() for group in groups for cell in group]
     results = run_cells(study, "iterations", flat)
     table, points = [], []
-    for text, groups in cells.items():
+    for (method, text), groups in cells.items():
         ate = mean([median(results, g, "ate_rmse_m", 100.0) for g in groups])
         fps, tracking = (
             mean([median(results, g, key, higher_is_better=True) for g in groups]) for key in ("fps", "tracking_fps")
         )
-        label = f"{options.method} {options.preset}" if text != "default" and options.preset else options.method
-        row = {"Method": label, "Front-end/back-end": text if text != "default" else "its default preset"}
+        row = {"Method": method, "Front-end/back-end": text}
         table.append({**row, "ATE [cm] ↓": ate, "Frames/s ↑": fps, "Tracking/s ↑": tracking, "source": "measured"})
-        points.append((row["Front-end/back-end"], fps, ate))
+        points.append((f"{method} {text}", fps, ate))
     paper = load_published()
     own = paper.tables.get("iterations_palvio", {}) if paper else {}
     for method, figures in own.items():

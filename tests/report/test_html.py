@@ -171,3 +171,35 @@ def test_reports_need_neither_torch_nor_numba(make_run, tmp_path):
         "assert not {'torch', 'numba', 'evo'} & set(sys.modules), 'heavy import'"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=500)
+
+
+def test_pictures_shrink_until_the_page_fits(make_run, tmp_path):
+    folder = make_run("a", pictures=1)
+    noise = np.random.default_rng(0).integers(0, 255, (512, 1024, 3), np.uint8)
+    for path in (folder / "renders").glob("000*"):
+        cv2.imwrite(str(path), noise)
+    sizes = []
+    for limit in (10.0, 2.6, 2.3):
+        write_report([folder], tmp_path / "r.html", max_mb=limit)
+        sizes.append((tmp_path / "r.html").stat().st_size)
+        assert sizes[-1] <= limit * 1e6
+    assert sizes == sorted(sizes, reverse=True)
+    with pytest.raises(UsageError, match="--max-mb 1"):
+        write_report([folder], tmp_path / "r.html", max_mb=1)
+
+
+def test_a_published_page_does_not_say_where_files_lie(make_run, edit, tmp_path):
+    folder = make_run("a", log="Traceback\n  File '/home/me/code/x.py', line 3\nread /mnt/data/walk.mp4: 3/4 frames")
+    edit(
+        folder, lambda d: d["provenance"].update(root="/mnt/data/rooms", command="panobench run --root /mnt/data/rooms")
+    )
+    edit(folder, lambda d: d.update(status="crashed", message="cannot read /mnt/data/rooms/a.png (https://x.org/a/b)"))
+    write_report([folder], tmp_path / "r.html", hide_paths=True)
+    text = (tmp_path / "r.html").read_text(encoding="utf-8")
+    assert "/mnt/" not in text
+    assert "/home/" not in text
+    assert str(tmp_path) not in text
+    for kept in ("…/rooms", "…/x.py", "…/a.png", "https://x.org/a/b", "3/4 frames"):
+        assert kept in text, kept
+    write_report([folder], tmp_path / "r.html")
+    assert "/mnt/data/rooms" in (tmp_path / "r.html").read_text(encoding="utf-8")

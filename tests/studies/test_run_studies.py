@@ -54,6 +54,8 @@ def test_fov_runs_every_field_of_view_and_sets_the_papers_rows_apart(tmp_path: P
     result = fov.run(study(tmp_path, sequences="room1,room3"))
     asked = {(c.request.camera, c.request.fov, c.request.sequence) for c in answers["cells"]}
     assert len(asked) == 10
+    assert {c.request.method for c in answers["cells"]} == {"panogs", "monogs"}
+    assert all(c.request.camera == "pinhole:front" for c in answers["cells"] if c.request.method == "monogs")
     assert ("erp", "120", "room3") in asked
     assert ("erp", None, "room1") in asked
     assert ("pinhole:front", None, "room1") in asked
@@ -70,7 +72,7 @@ def test_failures_are_shown_and_counted(tmp_path: Path, answers: Any) -> None:
         return {"status": "lost", "message": "tracked 12%"} if failed else {}
 
     answers["answer"] = answer
-    result = fov.run(study(tmp_path, sequences="room1", seeds="0,1,2"))
+    result = fov.run(study(tmp_path, sequences="room1", seeds="0,1,2", baseline="none"))
     narrow = row(result, "fov", FoV="120°")
     assert narrow["room1 [cm] ↓"] == narrow["Mean [cm] ↓"] == "/"
     assert sum("lost, tracked 12%" in note for note in result.notes) == 2
@@ -125,7 +127,8 @@ def test_iterations_set_both_counts_and_give_speed(tmp_path: Path, answers: Any)
     assert {"tracking_iterations": 100, "mapping_iterations": 100} in settings
     assert settings[-1] == {}
     assert answers["cells"][-1].request.preset is None
-    ours = row(result, "iterations", source="measured")
+    assert [c.request.camera for c in answers["cells"] if c.request.method == "monogs"] == ["pinhole:front"] * 2
+    ours = row(result, "iterations", source="measured", Method="panogs paper")
     assert (ours["ATE [cm] ↓"], ours["Frames/s ↑"], ours["Tracking/s ↑"]) == (pytest.approx(1.0), 5.0, 20.0)
     assert row(result, "iterations", Method="MonoGS")["ATE [cm] ↓"] == pytest.approx(231.4)
     with pytest.raises(UsageError, match="15/30"):

@@ -1,0 +1,53 @@
+"""Leaving out where files lie on the machine that made a report, for pages that are published."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from panobench.report.model import Collection, Problem, Run
+from panobench.studies.stored import StoredStudy
+
+#: An absolute path of at least two parts, not inside a word, an address or a ratio.
+_PATH = re.compile(r"(?<![\w.:/~-])(?:~|(?=/))(?:/[^\s/:;,'\"()<>\[\]]+)+/([^\s/:;,'\"()<>\[\]]+)/?")
+
+
+def hide_paths(collection: Collection) -> Collection:
+    """The same with every absolute path in a text cut to its last part."""
+    return Collection(
+        tuple(_run(run) for run in collection.runs),
+        tuple(Problem(Path(problem.folder.name), shortened(problem.message)) for problem in collection.problems),
+        tuple(_study(study) for study in collection.studies),
+    )
+
+
+def shortened(text: str) -> str:
+    """ "cannot read /home/me/data/a.png" -> "cannot read …/a.png"."""
+    return _PATH.sub(r"…/\1", text)
+
+
+def _run(run: Run) -> Run:
+    return replace(
+        run,
+        message=shortened(run.message),
+        document=_everywhere(run.document),
+        log_tail=shortened(run.log_tail),
+        command=shortened(run.command),
+        warnings=tuple(shortened(w) for w in run.warnings),
+    )
+
+
+def _study(study: StoredStudy) -> StoredStudy:
+    result = replace(study.result, notes=[shortened(note) for note in study.result.notes])
+    return StoredStudy(study.folder, result, _everywhere(study.provenance))
+
+
+def _everywhere(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _everywhere(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_everywhere(entry) for entry in value]
+    return shortened(value) if isinstance(value, str) else value
