@@ -75,6 +75,10 @@ class BatchMethod(ABC):
     def __init__(self, config: Any = None) -> None:
         self.config = config
 
+    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+        """Called once before ``run``, and timed apart: for what is made once and kept for later runs."""
+        return None
+
     @abstractmethod
     def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
         """Process the sequence; files go below ``context.work``."""

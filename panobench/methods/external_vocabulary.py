@@ -44,7 +44,11 @@ def named_vocabulary(option: str) -> Path | None:
     return path
 
 
-def find_vocabulary(option: str, sequence: Sequence, log: Callable[[str], None]) -> Path:
+def _silent(_: str) -> None:
+    return None
+
+
+def find_vocabulary(option: str, sequence: Sequence, log: Callable[[str], None] = _silent) -> Path:
     """The named vocabulary, or one trained on built-in rooms that ``sequence`` is not, kept in the cache.
 
     Raises InputError for a named file that is none, UnavailableError when none is named and the rooms are not there.

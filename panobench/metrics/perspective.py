@@ -71,8 +71,9 @@ def perspective_views(camera: Camera) -> list[PerspectiveCut]:
 
 def resolution(camera: Camera, R_view_camera: NDArray[np.float64]) -> float:
     """Pixels per radian of the camera in the direction a view looks; its mean where the camera does not see that."""
-    J = camera.jacobian(R_view_camera[2]) @ R_view_camera[:2].T
-    scale = float(np.sqrt(abs(np.linalg.det(J))))
+    with np.errstate(invalid="ignore"):  # NaN where the camera does not look
+        J = camera.jacobian(R_view_camera[2]) @ R_view_camera[:2].T
+        scale = float(np.sqrt(abs(np.linalg.det(J))))
     return scale if np.isfinite(scale) and scale > 0 else pixels_per_radian(camera)
 
 

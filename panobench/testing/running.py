@@ -74,6 +74,7 @@ def run_method(
     context = MethodContext(seed=seed, work=work, make_depth=make_depth, imu=imu, poses=poses, log=log.append)
     if isinstance(method, BatchMethod):
         blind = BlindSequence(sequence, imu="imu" in needs)
+        method.set_up(blind, context)
         begin = time.perf_counter()
         estimate = method.run(blind, context)
         mean = (time.perf_counter() - begin) / max(1, len(sequence))

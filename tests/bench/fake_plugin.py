@@ -173,6 +173,9 @@ class Peeks(Still):
 
 
 class Batch(BatchMethod):
+    def set_up(self, sequence, context):
+        time.sleep(0.3)
+
     def run(self, sequence, context):
         assert sequence.groundtruth is None
         assert sequence.depth(0) is None

@@ -137,6 +137,9 @@ def test_methods_see_no_truth(tmp_path: Path) -> None:
     assert batch["status"] == "ok", batch["message"]
     assert batch["extra"]["mapped"] == [0, 1, 3, 4, 6, 7, 9, 10]
     assert batch["timing"]["fps"] == pytest.approx(batch["timing"]["tracking_fps"])
+    assert 0.3 <= batch["timing"]["start_s"] < batch["timing"]["wall_s"]
+    busy = batch["frames"]["given"] / batch["timing"]["fps"]
+    assert busy <= batch["timing"]["wall_s"] - batch["timing"]["start_s"] + 1e-6
 
 
 def test_methods_do_not_see_what_the_mask_hides() -> None:

@@ -22,9 +22,13 @@ class OrbSlam3Binary(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = OrbSlam3Config
     config: OrbSlam3Config
 
+    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+        """A vocabulary that must be trained first is trained once, outside the run's own time."""
+        find_vocabulary(self.config.vocabulary, sequence, context.log)
+
     def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
         work = context.work
-        vocabulary = find_vocabulary(self.config.vocabulary, sequence, context.log)
+        vocabulary = find_vocabulary(self.config.vocabulary, sequence)
         values = settings(sequence.camera, frame_rate(sequence.times), self.config)
         (work / "settings.yaml").write_text(opencv_yaml(values))
         stamps = nanoseconds(sequence.times)

@@ -64,9 +64,13 @@ class OrbSlam3(ExternalMethod):
         detail = str(named) if named else f"none named in {VARIABLE}: one will be trained on built-in rooms, once"
         return [*found, Finding(True, "vocabulary", detail)]
 
+    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+        """A vocabulary that must be trained first is trained once, outside the run's own time."""
+        find_vocabulary(self.config.vocabulary, sequence, context.log)
+
     def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
         work = context.work
-        vocabulary = find_vocabulary(self.config.vocabulary, sequence, context.log)
+        vocabulary = find_vocabulary(self.config.vocabulary, sequence)
         values = settings(sequence.camera, frame_rate(sequence.times), self.config)
         (work / "settings.yaml").write_text(opencv_yaml(values))
         stamps = nanoseconds(sequence.times)

@@ -84,13 +84,17 @@ class P2uSlam(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = P2uSlamConfig
     config: P2uSlamConfig
 
+    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+        """A vocabulary that must be trained first is trained once, outside the run's own time."""
+        find_vocabulary(self.config.vocabulary, sequence, context.log)
+
     def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
         work = context.work
         values = settings(sequence.camera, frame_rate(sequence.times), self.config.features)
         if write_mask(sequence.camera, work / "mask.png"):
             values["Camera.mask"] = str(work / "mask.png")
         (work / "settings.yaml").write_text(opencv_yaml(values))
-        vocabulary = find_vocabulary(self.config.vocabulary, sequence, context.log)
+        vocabulary = find_vocabulary(self.config.vocabulary, sequence)
         stamps = nanoseconds(sequence.times)
         write_images(sequence, work / "sequence" / "mav0" / "cam0" / "data", grey=True, names=stamps)
         (work / "times.txt").write_text("\n".join(stamps) + "\n")

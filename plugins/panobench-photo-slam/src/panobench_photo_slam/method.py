@@ -111,6 +111,10 @@ class PhotoSlam(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = PhotoSlamConfig
     config: PhotoSlamConfig
 
+    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+        """A vocabulary that must be trained first is trained once, outside the run's own time."""
+        find_vocabulary(self.config.vocabulary, sequence, context.log)
+
     def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
         work, camera = context.work, sequence.camera
         p = opencv_pinhole(camera, "Photo-SLAM")
@@ -124,7 +128,7 @@ class PhotoSlam(ExternalMethod):
         (work / "orb.yaml").write_text(opencv_yaml(orb))
         mapper = MAPPER | {"Optimization.max_num_iterations": self.config.iterations}
         (work / "mapper.yaml").write_text(opencv_yaml(mapper))
-        vocabulary = find_vocabulary(self.config.vocabulary, sequence, context.log)
+        vocabulary = find_vocabulary(self.config.vocabulary, sequence)
         names = write_images(sequence, work / "sequence" / "rgb").names
         lines = ["# color images", "# written by panobench", "# timestamp filename"]
         lines += [f"{t:.9f} rgb/{name}" for t, name in zip(sequence.times, names)]
