@@ -46,14 +46,19 @@ def writing(path: Path, again: str = AGAIN, denied: str = "") -> Iterator[None]:
 def write_whole(path: Path, data: bytes | str) -> None:
     """Write a file beside its place and rename it, so that a reader never sees half of it. Makes folders as needed.
 
-    Raises OutputError.
+    A device or pipe (/dev/stdout) is written to, never replaced. Raises OutputError.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    content = data.encode("utf-8") if isinstance(data, str) else data
+    place = Path(os.path.realpath(path))  # a link stays one
+    part = place.with_name(f".{place.name}.{os.getpid()}.part")
     with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if place.exists() and not place.is_file():
+            place.write_bytes(content)
+            return
+        place.parent.mkdir(parents=True, exist_ok=True)
         try:
-            part.write_bytes(data.encode("utf-8") if isinstance(data, str) else data)
-            part.replace(path)
+            part.write_bytes(content)
+            part.replace(place)
         except BaseException:
             part.unlink(missing_ok=True)
             raise

@@ -43,6 +43,23 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
     assert [p.read_text() for p in target.parent.iterdir()] == ["old"]
 
 
+def test_devices_are_written_to_and_links_stay(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+    write_whole(tmp_path / "pipe", "page")
+    assert os.read(reader, 10) == b"page"
+    os.close(reader)
+    assert (tmp_path / "pipe").is_fifo()
+    with pytest.raises(OutputError, match="/dev/full: the disk is full"):
+        write_whole(Path("/dev/full"), "page")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_whole(tmp_path, "page")
+    (tmp_path / "link").symlink_to("page")
+    write_whole(tmp_path / "link", "1")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "page").read_text() == "1"
+
+
 def fail(*_: Any) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 

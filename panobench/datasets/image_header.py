@@ -53,7 +53,7 @@ def check_complete(data: bytes) -> None:
             if data[at + 4 : at + 8] == b"IEND":
                 return
             at += 12 + length
-        raise HeaderError("the PNG is truncated: it has no IEND chunk")
+        raise HeaderError("the PNG is truncated or damaged: its IEND chunk is not found")
     if data[:2] == b"\xff\xd8":
         scan = _jpeg_scan_start(data)
         # Inside the scan FF is always followed by 00 or a restart marker, so FFD9 there is the true end.
