@@ -70,9 +70,11 @@ def _page(
     colour_of = {id(run): i for i, runs in enumerate(grouped.values()) for run in runs}
     data: dict[str, Any] = {"figures": {}, "viewers": {}}
     map_points = min(MOST, MOST_IN_ALL // max(1, len(collection.places())))
+    works = {run.place for run in collection.runs if not failure(run)}
+    order = sorted(collection.places(), key=lambda place: (place not in works, place[0], natural(place[1])))
     places = [
         place_section(i, collection.at(place), label_of, colour_of, gallery, data, map_points)
-        for i, place in enumerate(sorted(collection.places(), key=lambda p: (p[0], natural(p[1]))))
+        for i, place in enumerate(order)
     ]
     data["images"], data["links"] = gallery.store, gallery.links
     tables = run_tables(collection, published)

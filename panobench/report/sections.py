@@ -112,9 +112,13 @@ def place_section(
 
 
 def best_map(runs: Sequence[Run]) -> int | None:
-    """Index of the run whose map is drawn: the best render among those that did not fail."""
+    """Index of the run whose map is drawn: the best render among those that did not fail, from panoramas if any."""
+
+    def quality(i: int) -> tuple[bool, float]:
+        return runs[i].variant.get("camera", "erp").startswith("erp"), runs[i].number("pano_psnr_db") or 0.0
+
     with_map = [i for i, run in enumerate(runs) if map_size(run) is not None and failure(run) is None]
-    return max(with_map, key=lambda i: runs[i].number("pano_psnr_db") or 0.0, default=None)
+    return max(with_map, key=quality, default=None)
 
 
 def _unique_labels(runs: Sequence[Run], label_of: Mapping[int, str]) -> list[str]:
