@@ -20,6 +20,12 @@ FORMATS = {
     "colmap": "panobench.cameras.calibration.colmap",
 }
 _YAML_FORMATS = {"panobench", "kalibr", "lfvio"}
+#: What the formats are told apart by, for whoever has a file that is none of them.
+_YAML_MARKS = (
+    "YAML with 'model:' (panobench), 'camera_model:' and 'intrinsics:' (kalibr), "
+    "or 'model_type:' and 'image_width:' (lfvio) is expected"
+)
+_TEXT_MARKS = "five lines of numbers (ocamcalib) or lines 'ID MODEL WIDTH HEIGHT PARAMS...' (colmap) are expected"
 _DATA = Path(__file__).parent / "data"
 
 
@@ -101,6 +107,4 @@ def _recognise(path: Path) -> Any:
         module = _module(name)
         if module.recognise(path, text):
             return module
-    raise CalibrationError(
-        f"not recognised as any of {', '.join(FORMATS)}; name the format to see what is wrong with it", path
-    )
+    raise CalibrationError(f"not recognised as a calibration: {_YAML_MARKS if yaml_like else _TEXT_MARKS}", path)

@@ -37,9 +37,9 @@ class _Block:
 
 
 def recognise(path: Path, text: str) -> bool:
-    """Five numeric lines."""
-    rows = list(itertools.islice(data_lines(text), 6))
-    return len(rows) == 5 and all(w.lstrip("+-.").replace(".", "", 1)[:1].isdigit() for _, row in rows for w in row)
+    """It starts with a line of numbers; ``read`` says what is wrong with the others."""
+    words = next(iter(data_lines(text)), (0, [""]))[1]
+    return len(words) > 1 and all(w.lstrip("+-.").replace(".", "", 1)[:1].isdigit() for w in words)
 
 
 def read(path: Path, options: ReadOptions) -> Calibration:
