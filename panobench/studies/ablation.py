@@ -69,8 +69,7 @@ def run(study: StudyRequest) -> StudyResult:
     notes = [
         "w/o L_pano: every pixel of the panorama weighs the same. w L_GS: weights fall off from the equator as a "
         "Gaussian of latitude. w/o DGIS: the map starts from a constant depth, and new Gaussians from the median "
-        "depth. Under the default preset tracking is Gauss-Newton, whose weights stay cos(latitude): there the loss "
-        "changes the mapping only.",
+        "depth. The weights count in tracking and in mapping.",
         *(source_notes(options.dataset) if paper else []),
         *reasons(results, flat),
     ]

@@ -95,3 +95,21 @@ def test_atan2_is_good_to_a_thousandth_of_a_pixel() -> None:
     angles = np.linspace(-np.pi + 1e-6, np.pi - 1e-6, 5001)
     found = [atan2_fast(np.float32(np.sin(a)), np.float32(np.cos(a))) for a in angles]
     assert np.abs(np.array(found) - angles).max() < 1e-6
+
+
+def test_other_latitude_weights_than_the_cosine_for_the_ablation() -> None:
+    from panobench.photometric.weighting import reweighted
+
+    luma, depth = view(CAMERAS["erp"], np.eye(4))
+    reference = make_reference(CAMERAS["erp"], luma, depth, 2)
+    assert reweighted(reference, "cosine") is reference
+    for level in range(2):
+        x, y, z = reference.levels[level].points
+        lat = np.arcsin(-y / np.sqrt(x * x + y * y + z * z))
+        assert np.allclose(reference.levels[level].weight, np.cos(lat), atol=1e-5)
+        assert np.all(reweighted(reference, "uniform").levels[level].weight == 1)
+        narrow = np.exp(-0.5 * (lat / np.deg2rad(30)) ** 2)
+        assert np.allclose(reweighted(reference, "gaussian").levels[level].weight, narrow, atol=1e-5)
+    flat, flat_depth = view(CAMERAS["pinhole"], np.eye(4))
+    pinhole = make_reference(CAMERAS["pinhole"], flat, flat_depth, 1)
+    assert reweighted(pinhole, "gaussian") is pinhole

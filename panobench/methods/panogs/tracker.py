@@ -13,6 +13,7 @@ from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.views import PoseAdam
 from panobench.photometric.align import Alignment, AlignOptions, Reference, align, make_reference
 from panobench.photometric.pyramid import F32, luma_of_frame, luma_of_planes, pyramid
+from panobench.photometric.weighting import reweighted
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
 from panobench.splat.render import Renderer, RenderOutput
@@ -102,7 +103,8 @@ class Tracker:
 
     def make_reference(self, render: RenderOutput, levels: int) -> Reference:
         depth = render.expected_depth(OPACITY_MIN)
-        return make_reference(self.camera, luma_of_planes(render.planes), depth, levels, self.options)
+        reference = make_reference(self.camera, luma_of_planes(render.planes), depth, levels, self.options)
+        return reweighted(reference, self.config.loss)
 
     def _moved_px(self, T: NDArray[np.float64], render: RenderOutput) -> float:
         """How far the motion ``T`` moves a pixel at the median depth, roughly."""
