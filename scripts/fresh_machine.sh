@@ -3,7 +3,7 @@
 # README's two commands, timed. Then the wheel and the sdist: built, checked, and the wheel installed and run outside
 # the checkout.
 #
-#   scripts/fresh_machine.sh [--readme] [--wheel] [--python PYTHON] [--constraint FILE] [--no-deps-wheel]
+#   scripts/fresh_machine.sh [--readme] [--wheel] [--python PYTHON] [--constraint FILE] [--site VENV]
 #
 # Without --readme or --wheel both parts run. --constraint is handed to pip (to choose a CPU-only torch, for example).
 # --site VENV lets the wheel's environment see that one's packages instead of downloading them again.
@@ -62,8 +62,8 @@ if [ $wheel = 1 ]; then
     "$python" -m venv "$work/tools"
     "$work/tools/bin/pip" install -q build twine
     cd "$work/clone"
-    timed "wheel and sdist" "$work/tools/bin/python" -m build --outdir "$work/dist" . >"$work/build.log" 2>&1 ||
-        { tail -20 "$work/build.log" && exit 1; }
+    timed "wheel and sdist" bash -c '"$1/tools/bin/python" -m build --outdir "$1/dist" . >"$1/build.log" 2>&1 ||
+        { tail -20 "$1/build.log" >&2; exit 1; }' build "$work"
     "$work/tools/bin/twine" check --strict "$work"/dist/*
     cd "$work"
     "$python" -m venv "$work/venv"
@@ -81,6 +81,9 @@ if [ $wheel = 1 ]; then
     "$work/venv/bin/panobench" plugin new demo --kind method --in "$work" >/dev/null
     "$work/venv/bin/panobench" convert rooms --sequence tiny --to pal --width 160 --every 20 --out pal --quiet
     "$work/venv/bin/panobench" list >/dev/null
-    tar -tzf "$work"/dist/*.tar.gz | grep -qE '/(LICENSE|CHANGELOG.md|CITATION.cff)$'
+    tar -tzf "$work"/dist/*.tar.gz >"$work/sdist.txt"
+    for file in LICENSE CHANGELOG.md CITATION.cff CONTRIBUTING.md tests/conftest.py fuzz/campaign.py; do
+        grep -q "/$file\$" "$work/sdist.txt" || { echo "the sdist lacks $file" >&2 && exit 1; }
+    done
 fi
 echo "fresh machine: ok"

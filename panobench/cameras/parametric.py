@@ -51,10 +51,14 @@ class ParametricCamera(Camera):
                 )
             mask.flags.writeable = False
             object.__setattr__(self, "mask", mask)
+        lists = {f.name for f in dataclasses.fields(self) if "tuple" in str(f.type)}
         for name, value in self._numbers().items():
             if name in ("width", "height") or value is None:
                 continue
             several = isinstance(value, (tuple, list, np.ndarray))
+            if several != (name in lists):
+                what = "a list of numbers" if name in lists else "a number"
+                raise CalibrationError(f"{self.kind} camera: {name} must be {what}, not {value!r}")
             try:
                 number = tuple(float(v) for v in value) if several else float(value)
             except (TypeError, ValueError):

@@ -24,6 +24,9 @@ from panobench.splat.render import Renderer
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
+#: Standard deviation, in 8-bit levels, below which a frame shows nothing.
+BLANK_LEVELS = 1.0
+
 
 @dataclass
 class _Record:
@@ -65,6 +68,9 @@ class PanogsMethod(OnlineMethod):
         return "sphere" if self.config.projection == "auto" else self.config.projection
 
     def track(self, frame: Frame) -> NDArray[np.float64] | None:
+        if self._blank(frame.image):
+            self._skip(frame)
+            return None
         if self.depth is None:
             self.waiting.append(frame)
             estimate = self.estimator.add(frame) if self.estimator else self._constant_depth(frame)
@@ -75,6 +81,16 @@ class PanogsMethod(OnlineMethod):
             self._process(frame)
         record = self.records.get(frame.index)
         return None if record is None else record.T_wc
+
+    def _blank(self, image: NDArray[np.uint8]) -> bool:
+        """Nothing to align or to map: a closed shutter, a saturated sensor, fog."""
+        return bool(image[self.tracker.valid].std(axis=0).max() < BLANK_LEVELS)
+
+    def _skip(self, frame: Frame) -> None:
+        """No pose for this frame; the motion before it is taken to go on."""
+        self.numbers[frame.index] = {"blank": 1.0}
+        if self.tracker.T_last is not None:
+            self.tracker.T_last = self.tracker.predict()
 
     def _constant_depth(self, frame: Frame) -> DepthEstimate:
         shape = frame.image.shape[:2]
