@@ -25,6 +25,7 @@ from panobench import (
     UnknownNameError,
     hookimpl,
 )
+from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
 from panobench.testing import TinySequence
 
 
@@ -189,6 +190,27 @@ class Batch(BatchMethod):
         return Estimate(Trajectory(sequence.times, poses), extra={"mapped": [f.index for f in frames if f.mappable]})
 
 
+class Program(ExternalMethod):
+    """An external program; its option ``extra`` says how it behaves."""
+
+    title, program, variable = "Program", sys.executable, "PANOBENCH_FAKE_PROGRAM"
+
+    def prepare(self, sequence, context):
+        rows = "".join(f"{t:.9f} {i} 0 0 0 0 0 1\n" for i, t in enumerate(sequence.times))
+        code = (
+            "import os, sys, time\n"
+            f"work, rows, how = {str(context.work)!r}, {rows!r}, sys.argv[1]\n"
+            "print('about to', how, flush=True)\n"
+            "if how == 'crash': sys.exit(7)\n"
+            "if how == 'hang': time.sleep(60)\n"
+            "if how == 'stray': open(work + '/../../stray.txt', 'w').write('x')\n"
+            "if how == 'partial': rows = rows[:-9]\n"
+            "if how == 'malformed': rows = 'no trajectory at all\\n'\n"
+            "if how != 'silent': open(work + '/out.txt', 'w').write(rows)\n"
+        )
+        return Job(["-c", code], context.work / "out.txt")
+
+
 class GivenPoses(OnlineMethod):
     def start(self, camera, context):
         self.poses, self.times, self.context = context.poses, [], context
@@ -299,6 +321,8 @@ def register_methods():
     specs.append(MethodSpec("fake-absent", "for tests", f"{__name__}:Still", requires=("no_such_package",)))
     specs.append(MethodSpec("fake-depth", "for tests", f"{__name__}:WantsDepth", needs=("rgb", "depth")))
     specs.append(MethodSpec("fake-inertial", "for tests", f"{__name__}:Still", needs=("rgb", "imu")))
+    program = f"{ExternalConfig.__module__}:{ExternalConfig.__name__}"
+    specs.append(MethodSpec("fake-program", "for tests", f"{__name__}:Program", config=program))
     specs.append(
         MethodSpec(
             "fake-options",

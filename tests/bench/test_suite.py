@@ -81,6 +81,21 @@ def test_the_same_command_again_runs_nothing(tmp_path: Path) -> None:
     assert entry["label"] == "fake-still erp tiny/blind seed 0"
 
 
+def test_external_programs_that_fail_are_rows_and_the_suite_goes_on(tmp_path: Path) -> None:
+    ways = ["work", "crash", "hang", "silent", "partial", "malformed", "stray", "works"]
+    cells = [cell("program", settings={"extra": way, "timeout_s": "2"}) for way in ways]
+    store = Store(tmp_path / "store")
+    run(store, cells)
+    expected = ["ok", "crashed", "timeout", "crashed", "crashed", "crashed", "crashed", "ok"]
+    assert statuses(store, cells) == expected
+    for way, chosen in zip(ways, cells):
+        document = read_run_json(store.folder(chosen))
+        assert bool(document["message"]) != way.startswith("work"), way
+        if way in ("crash", "hang", "silent", "partial", "malformed"):
+            assert f"about to {way}" in (store.folder(chosen) / "log.txt").read_text(), way
+    assert not list(tmp_path.rglob("stray.txt"))
+
+
 def test_a_suite_is_amended(tmp_path: Path) -> None:
     store = Store(tmp_path)
     run(store, [cell(seed=0)])
