@@ -67,7 +67,7 @@ class BasinOptions:
 
 
 QUICK: dict[str, Any] = {
-    "sequence": "tiny", "width": 128, "fov": (120.0, 360.0), "grid": 11, "rings": (0.1, 0.3, 0.5), "directions": 6,
+    "sequence": "tiny", "width": 256, "grid": 13, "rings": (0.1, 0.2, 0.3, 0.4, 0.5), "directions": 8,
     "map_views": 3, "map_every": 4, "map_iterations": 60, "frame": 6,
 }  # fmt: skip
 

@@ -13,6 +13,9 @@ from chromium_pipe import Page, find_chromium
 from fake_runs import write_suite
 
 from panobench.report.build import write_report
+from panobench.studies.base import StudyResult
+from panobench.studies.basin_figures import contour, shares, surface
+from panobench.studies.stored import write_study
 
 CHROMIUM = find_chromium()
 pytestmark = [
@@ -186,20 +189,49 @@ def test_phone_width_has_no_sideways_scrolling(opened):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_axe_finds_nothing_serious(opened, scheme):
-    source = axe_source()
-    if source is None:
-        pytest.skip("needs axe-core-python, or axe.min.js named in PANOBENCH_AXE")
     opened.prefer(scheme)
     opened.wait(f"document.documentElement.dataset.theme === '{scheme}'")
     opened.evaluate("PB.all('details').forEach(d => { d.open = true; })")
-    opened.evaluate(source + "; 0")
-    result = json.loads(opened.evaluate("axe.run().then(r => JSON.stringify(r.violations))"))
-    serious = [
+    assert serious_problems(opened) == []
+
+
+def serious_problems(page: Page) -> list[object]:
+    """What axe-core finds serious on the page."""
+    source = axe_source()
+    if source is None:
+        pytest.skip("needs axe-core-python, or axe.min.js named in PANOBENCH_AXE")
+    page.evaluate(source + "; 0")
+    result = json.loads(page.evaluate("axe.run().then(r => JSON.stringify(r.violations))"))
+    return [
         (v["id"], v["help"], [(n["html"][:160], n["failureSummary"][:300]) for n in v["nodes"][:3]])
         for v in result
         if v["impact"] in ("serious", "critical")
     ]
-    assert serious == []
+
+
+def test_studies_are_drawn_and_usable_by_everybody(browser, tmp_path):
+    offsets = [-0.5, 0.0, 0.5]
+    start = {"distance": 0.1, "direction": 0.0, "error": 0.0, "rotation_deg": 0.0, "converged": True}
+    about = {
+        "offsets": offsets,
+        "loss": [[3, 2, 3], [2, 1, 2], [3, 2, 3.5]],
+        "starts": [start],
+        "eigenvalues": [6, 5, 4],
+    }
+    measured = {"120°": about, "360°": about}
+    rows = [{"FoV": name, "0.1 z [%] ↑": 100.0, "source": "measured"} for name in measured]
+    figures = {"c": contour("120°", measured), "s": surface("360°", measured), "r": shares([0.1], rows)}
+    write_study(tmp_path, StudyResult("basin", {"basin": rows}, figures, ["a note"], "Basin"), {"command": "panobench"})
+    write_report([tmp_path], tmp_path / "study.html")
+    browser.errors.clear()
+    browser.prefer("dark")
+    browser.open(tmp_path / "study.html", settle=0.2)
+    browser.evaluate("scrollTo(0, document.body.scrollHeight)")
+    browser.wait("PB.all('.plot').every(d => d.dataset.drawn)")
+    assert browser.evaluate("PB.all('.plot .contourlayer path').length") > 0
+    assert browser.evaluate("PB.all('.spatial canvas').length") >= 1
+    assert browser.errors == []
+    assert serious_problems(browser) == []
 
 
 def test_printing_makes_a_document_of_every_sequence(opened, tmp_path):
