@@ -142,7 +142,9 @@ def rank(table: dict[str, Sequence[float | None]], *, higher_is_better: bool = F
     rows = []
     for name, values in table.items():
         numbers = [float(values[i]) for i in common if values[i] is not None] if name in alive else []  # type: ignore[arg-type]
-        rows.append((name, sum(v is not None for v in values), _mean(numbers, higher_is_better)))
+        rows.append(
+            (name, sum(v is not None for v in values), sequence_mean(numbers, higher_is_better=higher_is_better))
+        )
     worst = math.inf
     sign = -1 if higher_is_better else 1
     rows.sort(key=lambda r: (-r[1], worst if r[2] is None else sign * r[2]))
@@ -153,7 +155,8 @@ def rank(table: dict[str, Sequence[float | None]], *, higher_is_better: bool = F
     return [Ranked(name, n, mean, None if k == 0 else p[k - 1]) for k, (name, n, mean) in enumerate(rows)]
 
 
-def _mean(values: Sequence[float], higher_is_better: bool) -> float | None:
+def sequence_mean(values: Sequence[float], *, higher_is_better: bool = False) -> float | None:
+    """Over sequences: geometric for errors, arithmetic for scores (or errors of zero); None without values."""
     if not values:
         return None
     if higher_is_better or min(values) <= 0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from panobench.bench.statistics import Ranked, rank, summarise
+from panobench.bench.statistics import Ranked, rank, sequence_mean, summarise
 from panobench.report.model import Run
 from panobench.report.published import Published, published_block
 from panobench.report.ranking import failure
@@ -132,6 +132,6 @@ def _published_row(label: str, values: Sequence[float | None], unit: str, common
         done = sum(v is not None and not math.isnan(v) for v in values)
         cells.append(Cell(f"{done}/{tried}", float(done)))
         shared = [v for j in common if (v := values[j]) is not None and not math.isnan(v)]
-        mean = math.exp(sum(map(math.log, shared)) / len(shared)) if shared and len(shared) == len(common) else None
+        mean = sequence_mean(shared) if len(shared) == len(common) else None
         cells.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
     return Row(tuple(cells), "published", {"method": label, "status": "published"})

@@ -157,3 +157,27 @@ def test_any_bytes_give_a_clean_error(tmp_path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(PanobenchError):
         read_suite(path)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((Path(__file__).parents[2] / "reports" / "suites").glob("*.yaml")), ids=lambda p: p.stem
+)
+def test_the_suites_that_come_with_panobench_are_read_and_name_what_there_is(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from panobench.bench.config import method_config
+    from panobench.bench.opening import check_camera
+    from panobench.plugins import registry
+    from panobench.specs import MethodSpec
+
+    monkeypatch.delenv("PANOBENCH_DATA", raising=False)
+    suite = read_suite(path)
+    assert suite.name == path.stem
+    assert suite.cells
+    for request in {
+        c.request.method + str(c.request.settings) + c.request.camera: c.request for c in suite.cells
+    }.values():
+        spec = registry().get(MethodSpec, request.method)
+        method_config(spec, request.preset, request.settings)
+        if path.stem.startswith("paper"):
+            check_camera(request.camera, spec)
