@@ -90,7 +90,7 @@ def status(
 
     where = Store(store).require()
     found, damaged = where.runs()
-    rows = [_row(s.document.get("cell", {}).get("label", s.folder.name), s, "") for s in found]
+    rows = [_row(str(_mapping(s.document, "cell").get("label") or s.folder.name), s, "") for s in found]
     rows += [_row(d.folder.name, None, "") | {"status": "damaged", "message": d.reason} for d in damaged]
     rows += [
         _row(q.folder.name, None, "") | {"status": "quarantined", "message": q.reason} for q in where.quarantined()
@@ -98,9 +98,15 @@ def status(
     print_rows(rows, as_json)
 
 
+def _mapping(document: dict[str, Any], key: str) -> dict[str, Any]:
+    """An entry of a stored run, which may be anybody's."""
+    value = document.get(key)
+    return value if isinstance(value, dict) else {}
+
+
 def _row(label: str, stored: Any, reason: str) -> dict[str, Any]:
     document = stored.document if stored else {}
-    metrics, timing = document.get("metrics", {}), document.get("timing", {})
+    metrics, timing = _mapping(document, "metrics"), _mapping(document, "timing")
     return {
         "cell": label,
         "status": stored.status if stored else "not run",

@@ -130,4 +130,5 @@ def drop_empty_columns(table: Table) -> Table:
 
 def natural(text: str) -> list[tuple[int, int, str]]:
     """Sort key that puts room2 before room10."""
-    return [(0, int(w), "") if w.isdigit() else (1, 0, w) for w in re.findall(r"\d+|\D+", text)]
+    words = re.findall(r"\d{1,18}|\D+", text)  # Python refuses to make numbers of thousands of digits
+    return [(0, int(w), "") if w.isdecimal() else (1, 0, w) for w in words]
