@@ -106,7 +106,8 @@ def _sequences(dataset: Mapping[str, Any], path: Path, notes: list[str]) -> Iter
         from panobench.datasets.open import open_dataset
 
         try:
-            yield from open_dataset(dataset["name"], dataset.get("root")).sequences()
+            root = _optional(dataset.get("root"), path, "root")
+            yield from open_dataset(dataset["name"], root).sequences()
         except (DatasetError, UnavailableError) as error:
             notes.append(f"the sequences of {dataset['name']} cannot be listed: {error}")
             yield None

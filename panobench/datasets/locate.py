@@ -28,14 +28,23 @@ def _one_line(spec: DatasetSpec) -> str:
     return "; ".join(describe(spec).splitlines())
 
 
+def _look(place: Path | str) -> tuple[Path, bool]:
+    """The path with ~ expanded, and whether something is there; names that cannot be are not."""
+    try:
+        path = Path(place).expanduser()
+        return path, path.exists()
+    except (OSError, RuntimeError, ValueError):  # too long, the home of nobody, a NUL
+        return Path(place), False
+
+
 def locate(spec: DatasetSpec, root: Path | str | None = None) -> Path | None:
     """The dataset's file or folder; None for a generator that was given none.
 
     Raises DatasetError that describes the dataset when nothing is there.
     """
     if root is not None:
-        path = Path(root).expanduser()
-        if not path.exists():
+        path, there = _look(root)
+        if not there:
             raise DatasetError(f"no such file or folder (--root). {_one_line(spec)}", path)
         return path
     if not spec.needs_root:
@@ -45,8 +54,8 @@ def locate(spec: DatasetSpec, root: Path | str | None = None) -> Path | None:
         raise DatasetError(
             f"dataset '{spec.name}' needs --root PATH (or ${DATA_VARIABLE}, which is not set). {_one_line(spec)}"
         )
-    path = Path(base).expanduser() / spec.name
-    if not path.exists():
+    path, there = _look(Path(base) / spec.name)
+    if not there:
         raise DatasetError(f"dataset '{spec.name}' is not there. {_one_line(spec)}", path)
     return path
 
