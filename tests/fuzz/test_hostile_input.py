@@ -87,7 +87,7 @@ def test_pictures_of_a_stored_run_have_the_same_limits(tmp_path: Path) -> None:
         assert read(tmp_path / "000001.png") is None
 
 
-@pytest.mark.parametrize("count", [10**12, 10**18 - 1, 10**30])
+@pytest.mark.parametrize("count", [10**12, 10**30])
 @pytest.mark.parametrize("form", ["binary_little_endian", "ascii"])
 def test_a_map_that_claims_more_vertices_than_it_has(count: int, form: str, tmp_path: Path) -> None:
     text = material("ply").documents[0].split(b"end_header\n")[0].decode()
