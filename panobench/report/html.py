@@ -6,6 +6,7 @@ import base64
 import gzip
 import importlib.util
 import json
+import re
 from collections.abc import Mapping
 from datetime import datetime, timezone
 from functools import lru_cache
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from panobench import __version__
 from panobench.errors import UnavailableError
@@ -105,8 +106,8 @@ def _page(
 def safe_json(value: Any) -> Markup:
     """JSON that cannot end the script element it stands in, nor start a comment there."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    for character, escape in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
-        text = text.replace(character, escape)
+    for character, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
+        text = text.replace(character, code)
     return Markup(text.replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
 
 
@@ -157,8 +158,14 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.filters["safe_json"] = safe_json
+    environment.filters["breakable"] = breakable
     environment.globals["facet_values"] = facet_values
     return environment
+
+
+def breakable(text: str) -> Markup:
+    """The text, escaped, with places where a narrow column may break long names of options."""
+    return Markup(re.sub(r"([_=:/])(?=\w)", r"\1<wbr>", str(escape(text))))
 
 
 def facet_values(table: Table) -> dict[str, list[str]]:

@@ -28,7 +28,7 @@ class FovOptions(RunOptions):
 
 def run(study: StudyRequest) -> StudyResult:
     """ATE per sequence and field of view."""
-    options = study.choose(FovOptions(), {**QUICK, "baseline": None})
+    options = study.choose(FovOptions(), QUICK)
     label = f"{options.method} {options.preset}" if options.preset else options.method
     rows: list[tuple[str, str, str, dict[str, Any]]] = []
     view = {"camera": "pinhole:front", "width": pinhole_width(options.width)}

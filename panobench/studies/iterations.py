@@ -30,9 +30,7 @@ class IterationOptions(RunOptions):
 
 def run(study: StudyRequest) -> StudyResult:
     """ATE and frames per second for each pair of counts, and for the method's default preset."""
-    options = study.choose(
-        IterationOptions(), {**QUICK, "max_frames": 12, "counts": PAPER_COUNTS[:2], "baseline": None}
-    )
+    options = study.choose(IterationOptions(), {**QUICK, "max_frames": 12, "counts": PAPER_COUNTS[:2]})
     label = f"{options.method} {options.preset}" if options.preset else options.method
     runs: dict[tuple[str, str], dict[str, Any]] = {}
     for text in options.counts:
@@ -60,7 +58,7 @@ def run(study: StudyRequest) -> StudyResult:
         )
         row = {"Method": method, "Front-end/back-end": text}
         table.append({**row, "ATE [cm] ↓": ate, "Frames/s ↑": fps, "Tracking/s ↑": tracking, "source": "measured"})
-        points.append((f"{method} {text}", fps, ate))
+        points.append((method, text if "/" in text else "default", fps, ate))
     paper = load_published()
     own = paper.tables.get("iterations_palvio", {}) if paper else {}
     for method, figures in own.items():
@@ -93,26 +91,32 @@ def parse_counts(text: str) -> tuple[int, int]:
     return int(front), int(back)
 
 
-def _figure(points: list[tuple[str, Any, Any]]) -> dict[str, Any] | None:
-    known = [p for p in points if p[1] not in (None, FAILED) and p[2] not in (None, FAILED)]
+def _figure(points: list[tuple[str, str, Any, Any]]) -> dict[str, Any] | None:
+    """A line per method through its pairs of counts: points of (method, counts, frames per second, ATE)."""
+    known = [p for p in points if FAILED not in p[2:] and None not in p[2:]]
     if len(known) < 2:
         return None
-    data = [
-        {
-            "type": "scatter",
-            "mode": "markers+text",
-            "name": text,
-            "text": [text],
-            "textposition": "top center",
-            "meta": {"run": -2, "colour": k},
-            "x": [fps],
-            "y": [ate],
-            "marker": {"size": 11},
-        }
-        for k, (text, fps, ate) in enumerate(known)
-    ]
+    data = []
+    for k, method in enumerate(dict.fromkeys(p[0] for p in known)):
+        mine = [p for p in known if p[0] == method]
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers+text",
+                "name": method,
+                "text": [p[1] for p in mine],
+                "textposition": "top center",
+                "cliponaxis": False,
+                "meta": {"run": -2, "colour": k},
+                "x": [p[2] for p in mine],
+                "y": [p[3] for p in mine],
+                "line": {"width": 1.5},
+                "marker": {"size": 10},
+            }
+        )
     layout = {
         "xaxis": {"title": {"text": "Frames per second"}, "type": "log"},
         "yaxis": {"title": {"text": "ATE RMSE [cm]"}, "type": "log"},
+        "showlegend": True,
     }
     return {"data": data, "layout": layout}

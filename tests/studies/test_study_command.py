@@ -19,7 +19,15 @@ from panobench.studies.stored import StoredStudy, read_study, write_study
 def test_a_study_runs_resumes_and_is_reported(tmp_path: Path, fake_plugin: Path, capsys) -> None:
     out = tmp_path / "fov"
     command = ["study", "fov", "--quick", "--out", str(out)]
-    for option in ("method=fake-still", "dataset=tiny", "sequences=blind", "fov=360", "pinhole=no", "width=64"):
+    for option in (
+        "method=fake-still",
+        "dataset=tiny",
+        "sequences=blind",
+        "fov=360",
+        "pinhole=no",
+        "baseline=none",
+        "width=64",
+    ):
         command += ["--set", option]
     assert cli(command) == 0
     first = capsys.readouterr()
