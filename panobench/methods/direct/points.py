@@ -31,7 +31,7 @@ def choose_pixels(rig: FaceRig, faces: NDArray[np.uint8], wanted: int, occupied:
         image = cv2.GaussianBlur(faces[f], (3, 3), 0)
         gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
         gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
-        steep = cv2.magnitude(gx, gy)
+        steep = np.sqrt(gx * gx + gy * gy)  # cv2.magnitude's last bit depends on where the array lies in memory
         h, w = steep.shape
         small = cv2.resize(steep, (max(1, w // 32), max(1, h // 32)), interpolation=cv2.INTER_AREA)
         around = cv2.resize(cv2.blur(small, (3, 3)), (w, h), interpolation=cv2.INTER_LINEAR)

@@ -66,7 +66,8 @@ def bright(config: MonogsConfig, image: NDArray[np.uint8], valid: NDArray[np.boo
 def edges(config: MonogsConfig, image: NDArray[np.uint8], shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(H, W): of the ``shown`` pixels those whose gradient exceeds the median by a factor; tracking uses only these."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    steep = cv2.magnitude(cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1))
+    gx, gy = cv2.Scharr(grey, cv2.CV_32F, 1, 0), cv2.Scharr(grey, cv2.CV_32F, 0, 1)
+    steep = np.sqrt(gx * gx + gy * gy)  # cv2.magnitude's last bit depends on where the array lies in memory
     if not shown.any():
         return shown
     return np.asarray(shown & (steep > config.edge_threshold * np.median(steep[shown])))
