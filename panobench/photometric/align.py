@@ -35,7 +35,8 @@ class AlignOptions:
     """iterations: most per level, coarsest first (the last repeats). huber: residual where the cost turns linear, in
     robust standard deviations of the level's residuals at its start, at least huber_min (of 1): with a fixed
     threshold the few strong edges, where interpolation and occlusion err, outvote weakly textured walls.
-    depth_edge: pixels whose four neighbours span a larger ratio of depths are left out. latitude_limit_deg: rows
+    cut: on the finest cut_levels levels, larger residuals (in units of the Huber threshold) do not count: regions the
+    reference has wrong. depth_edge: pixels whose four neighbours span a larger ratio of depths (at full size) are left out. latitude_limit_deg: rows
     nearer the poles are left out (alignment in (u, v) is ill-suited there).
     step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
     """
@@ -43,6 +44,8 @@ class AlignOptions:
     iterations: tuple[int, ...] = (12, 8, 6, 5)
     huber: float = 1.0
     huber_min: float = 0.002
+    cut: float = 10.0
+    cut_levels: int = 1
     depth_edge: float = 1.1
     latitude_limit_deg: float = 75.0
     step_m: float = 2e-5
@@ -211,7 +214,7 @@ def make_reference(
             luma, depth = halve(luma), _halve_depth(depth, 1.3)
         parameters = halved(cam, level)
         points, jacobian, value, weight = _select(
-            luma, depth, code, parameters, sin_limit, options.gradient_min, options.depth_edge
+            luma, depth, code, parameters, sin_limit, options.gradient_min, 1 + (options.depth_edge - 1) * 2**level
         )
         out.append(ReferenceLevel(points, jacobian, value, weight, parameters))
     return Reference(out, code)
@@ -251,7 +254,7 @@ def _dot3(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @njit(**PARALLEL)
-def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, offset, huber, unknowns, threads):  # type: ignore[no-untyped-def]
+def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, offset, huber, cut, unknowns, threads):  # type: ignore[no-untyped-def]
     """Per-thread normal equations: (threads, _HESSIAN + UNKNOWNS + 2): H upper triangle, b, cost, weight seen.
 
     Second result (threads, _BINS): histogram of |residual| in steps of 1 / _PER_BIN.
@@ -262,7 +265,7 @@ def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, o
     n = value.shape[0]
     out, bins = np.zeros((threads, _HESSIAN + UNKNOWNS + 2)), np.zeros((threads, _BINS))
     g = np.float32(np.exp(gain))
-    off, delta = np.float32(offset), np.float32(huber)
+    off, delta, limit = np.float32(offset), np.float32(huber), np.float32(cut)
     share = (n + threads - 1) // threads
     one = np.ones(_BLOCK, np.float32)
     for th in prange(threads):
@@ -286,6 +289,10 @@ def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, o
                     continue
                 A[_HESSIAN + UNKNOWNS + 1] += wk
                 bins[th, min(int(a * _PER_BIN), _BINS - 1)] += wk
+                if a > limit:
+                    A[_HESSIAN + UNKNOWNS] += wk * delta * (limit - 0.5 * delta)
+                    r[k], w[k] = np.float32(0), np.float32(0)
+                    continue
                 if a <= delta:
                     A[_HESSIAN + UNKNOWNS] += wk * 0.5 * e * e
                 else:
@@ -335,13 +342,13 @@ class _State:
 
 
 def _normal_equations(
-    level: ReferenceLevel, image: F32, code: int, state: _State, huber: float, exposure: bool
+    level: ReferenceLevel, image: F32, code: int, state: _State, huber: float, cut: float, exposure: bool
 ) -> _Normal:
     threads = get_num_threads()
     R, t = state.T[:3, :3].astype(np.float32), state.T[:3, 3].astype(np.float32)
     parts, bins = _accumulate(
         level.points, level.jacobian, level.value, level.weight, image, code, level.camera,
-        R, t, state.gain, state.offset, huber, UNKNOWNS if exposure else 6, threads,
+        R, t, state.gain, state.offset, huber, cut, UNKNOWNS if exposure else 6, threads,
     )  # fmt: skip
     sums = parts.sum(axis=0)
     H = np.zeros((UNKNOWNS, UNKNOWNS))
@@ -379,13 +386,14 @@ def align(
     for step, level_index in enumerate(range(first, min(finest, first) - 1, -1)):
         level, image = reference.levels[level_index], frame[level_index]
 
-        def evaluate(s: _State, huber: float, level: ReferenceLevel = level, image: F32 = image) -> _Normal:
-            return _normal_equations(level, image, reference.code, s, huber, options.exposure)
+        def evaluate(s: _State, huber: float, cut: float, level: ReferenceLevel = level, image: F32 = image) -> _Normal:
+            return _normal_equations(level, image, reference.code, s, huber, cut, options.exposure)
 
         limit = options.iterations[min(step, len(options.iterations) - 1)]
         damping, converged = 1e-4, False
-        huber = max(options.huber * evaluate(state, 1.0).sigma, options.huber_min)
-        now = evaluate(state, huber)
+        huber = max(options.huber * evaluate(state, 1.0, 10.0).sigma, options.huber_min)
+        cut = options.cut * huber if level_index < options.cut_levels else 10.0
+        now = evaluate(state, huber, cut)
         for _ in range(limit):
             if not np.isfinite(now.cost) or len(level.value) < 50:
                 break
@@ -397,7 +405,7 @@ def align(
             except np.linalg.LinAlgError:
                 break
             moved = state.moved(x)
-            trial = evaluate(moved, huber)
+            trial = evaluate(moved, huber, cut)
             if trial.cost < now.cost and trial.seen > 0.5 * now.seen:
                 state, now = moved, trial
                 damping = max(damping * 0.2, 1e-7)

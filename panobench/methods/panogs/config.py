@@ -33,6 +33,8 @@ class PanogsConfig:
     sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
     sweep_share: float = 0.01  # of the image that must be new for a sweep
     sweep_frames: int = 8
+    insert_delay: int = 8  # frames a newly seen region waits, so that later ones see it too
+    sweep_confidence: float = 0.4
     carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong
     depth_guided: bool = True  # False: the "w/o DGIS" ablation
     flatten: float = 0.15

@@ -146,8 +146,10 @@ class Mapper:
     def step(self, view: View, refine_pose: bool) -> float:
         """One render, one backward pass, one Adam step on what the view touched."""
         out = self.renderer.forward(self.map, view.T_wc)
+        # What has no Gaussians yet must not make its neighbours spread over it.
+        weights = self.weights * (out.opacity > 0.5) if self.config.sweep else self.weights
         loss, gradient, _ = photometric_loss(
-            out.planes, view.image, self.weights, view.gain, view.offset, self.config.loss_knee
+            out.planes, view.image, weights, view.gain, view.offset, self.config.loss_knee
         )
         grads = self.renderer.backward(gradient, planar=True)
         isotropy = self.config.isotropy / max(3 * len(out.order), 1)

@@ -18,9 +18,9 @@ from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import RecentFrames
-from panobench.methods.panogs.tracker import Tracked, Tracker
+from panobench.methods.panogs.tracker import OPACITY_MIN, Tracked, Tracker
 from panobench.methods.panogs.views import View
-from panobench.splat.render import Renderer
+from panobench.splat.render import Renderer, RenderOutput
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
@@ -120,7 +120,8 @@ class PanogsMethod(OnlineMethod):
         if hint is not None and self.tracker.T_last is not None:
             self.tracker.velocity = invert_pose(self.tracker.T_last) @ hint
         tracked = self.tracker.track(frame.image, self.mapper.map)
-        self.recent.add(self.tracker.pyramid, tracked.T_wc)
+        depth = self.mapper.local_depth(tracked.render)
+        self.recent.add(frame.index, frame.image, self.tracker.pyramid, tracked.T_wc[:3, 3], depth)
         anchor = self.mapper.window[0]
         self.records[frame.index] = _Record(frame.time, anchor, invert_pose(anchor.T_wc) @ tracked.T_wc)
         numbers = self.numbers.setdefault(frame.index, {})
@@ -154,12 +155,12 @@ class PanogsMethod(OnlineMethod):
         ):  # fmt: skip
             m.frames.append(view)
             return False
-        swept = None
-        if self.config.sweep and new_share > self.config.sweep_share:
-            swept = self.recent.sweep(0.1 * local, 15.0 * local, local)
         before = len(m.map)
-        m.insert(view, tracked.render, swept)
-        grown = (len(m.map) - before) / m.count
+        if self.config.sweep:
+            self._insert_swept(self.config.insert_delay, local, self.config.sweep_confidence)
+        else:
+            m.insert(view, tracked.render)
+        grown = max(len(m.map) - before, 0) / m.count
         m.add_keyframe(view, update_window(m.window, view, self.config.window))
         m.optimise(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
         m.prune()
@@ -168,6 +169,34 @@ class PanogsMethod(OnlineMethod):
         velocity = self.tracker.velocity
         self.tracker.reset(view.T_wc, velocity)
         return True
+
+    def _insert_swept(self, delay: int, depth: float, confidence: float) -> None:
+        """New Gaussians for what the frame ``delay`` frames ago saw first, from a sweep over the frames since."""
+        m, target = self.mapper, self.recent.delayed(delay)
+        if target is None:
+            return
+        view = View(target.index, target.image, self.records[target.index].T_wc)
+        render = m.renderer.forward(m.map, view.T_wc, sloped=True)
+        if float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) <= self.config.sweep_share:
+            return
+        swept = self.recent.sweep(
+            target, lambda i: self.records[i].T_wc, 0.1 * depth, 15.0 * depth, depth, confidence
+        )
+        if swept is not None:
+            m.insert(view, render, self._at_map_scale(swept, view, render))
+
+    def _at_map_scale(self, swept: NDArray[np.float32], view: View, render: RenderOutput) -> NDArray[np.float32]:
+        """Swept depth scaled to agree with the map where the map knows.
+
+        The sweep inherits the scale of the last poses, and poses that of the map they were tracked against; handing
+        it on to new parts of the map would compound every small error.
+        """
+        m = self.mapper
+        ratio = render.expected_depth(OPACITY_MIN) / swept
+        known = np.isfinite(ratio) & (m.weights > 0) & ~m.wrong(view, render)
+        if np.count_nonzero(known) < 0.05 * known.size:
+            return swept
+        return swept * np.float32(np.clip(np.median(ratio[known]), 0.8, 1.25))
 
     def finish(self) -> Estimate:
         if self.depth is None and self.waiting:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,8 @@ class Tracker:
         self.camera, self.renderer, self.config = camera, renderer, config
         self.valid = camera.valid_mask()
         self.weights = pixel_weights(camera, config.loss)
-        self.options = AlignOptions(exposure=config.exposure)
-        self.coarse_options = AlignOptions(exposure=config.exposure, step_m=2e-4, step_rad=1e-4)
+        fine = AlignOptions(exposure=config.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5)
+        self.options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
         self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
         self.reference: Reference | None = None
         self.T_reference = np.eye(4)
