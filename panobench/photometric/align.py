@@ -36,8 +36,8 @@ class AlignOptions:
     robust standard deviations of the level's residuals at its start, at least huber_min (of 1): with a fixed
     threshold the few strong edges, where interpolation and occlusion err, outvote weakly textured walls.
     cut: on the finest cut_levels levels, larger residuals (in units of the Huber threshold) do not count: regions the
-    reference has wrong. depth_edge: pixels whose four neighbours span a larger ratio of depths (at full size) are left out. latitude_limit_deg: rows
-    nearer the poles are left out (alignment in (u, v) is ill-suited there).
+    reference has wrong. depth_edge: pixels whose four neighbours span a larger ratio of depths (at full size) are
+    left out. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v) is ill-suited there).
     step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
     """
 

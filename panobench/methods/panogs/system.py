@@ -179,9 +179,7 @@ class PanogsMethod(OnlineMethod):
         render = m.renderer.forward(m.map, view.T_wc, sloped=True)
         if float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) <= self.config.sweep_share:
             return
-        swept = self.recent.sweep(
-            target, lambda i: self.records[i].T_wc, 0.1 * depth, 15.0 * depth, depth, confidence
-        )
+        swept = self.recent.sweep(target, lambda i: self.records[i].T_wc, 0.1 * depth, 15.0 * depth, depth, confidence)
         if swept is not None:
             m.insert(view, render, self._at_map_scale(swept, view, render))
 
