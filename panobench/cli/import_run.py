@@ -38,7 +38,7 @@ def import_run(
     inverse: Annotated[bool, typer.Option("--inverse", help="The file holds world-to-camera poses.")] = False,
     time_offset: Annotated[float, typer.Option(help="Seconds added to the trajectory's times.")] = 0.0,
     max_dt: Annotated[float | None, typer.Option(help="Seconds a pose may be away from its frame.")] = None,
-    metric: Annotated[bool, typer.Option("--metric", help="Its scale is metres: align without scale.")] = False,
+    metric: Annotated[bool, typer.Option("--metric", help="Its scale is metres: add the error without scale.")] = False,
     renders: Annotated[Path | None, typer.Option(help="Folder with a render of each frame that has a pose.")] = None,
     citation: Annotated[str, typer.Option(help="Where the method is published.")] = "",
     out: Annotated[Path | None, typer.Option(help="The run folder; default: a new one below runs/.")] = None,

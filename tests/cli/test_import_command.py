@@ -68,10 +68,11 @@ def test_a_tum_file_is_scored_and_marked(root: Path, tmp_path: Path, truth: Traj
     assert (tmp_path / "out" / "trajectory.tum").exists()
 
 
-def test_a_metric_trajectory_is_aligned_without_scale(root: Path, tmp_path: Path, truth: Trajectory) -> None:
+def test_a_metric_trajectory_is_scored_without_scale_too(root: Path, tmp_path: Path, truth: Trajectory) -> None:
     write_tum(tmp_path / "them.tum", moved(truth))
     _, run = imported(tmp_path / "them.tum", root, tmp_path / "out", "--metric")
-    assert run["metrics"]["ate_rmse_m"] > 0.05
+    assert run["metrics"]["ate_se3_rmse_m"] > 0.05
+    assert run["metrics"]["ate_rmse_m"] < 1e-6
 
 
 def test_kitti_and_euroc_are_told_apart(root: Path, tmp_path: Path, truth: Trajectory) -> None:
