@@ -328,7 +328,9 @@ def test_kill_9_at_twenty_random_moments(tmp_path: Path) -> None:
             process.wait(rng.uniform(0.1, 1.1) * lasted)
             # it went through before it could be killed: take some results away and go on killing
             lasted = time.monotonic() - begin
-            victims = rng.sample(sorted(seen or finished(tmp_path)), 3)
+            now = finished(tmp_path)
+            assert {k: now.get(k) for k in seen} == seen, "a finished result was lost or made again"
+            victims = rng.sample(sorted(now), 3)
             for name in victims:
                 (store / "runs" / name).rename(tmp_path / f"gone-{kills}-{name}")
             seen = finished(tmp_path)
