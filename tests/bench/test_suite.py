@@ -332,7 +332,7 @@ def test_kill_9_at_twenty_random_moments(tmp_path: Path) -> None:
             assert {k: now.get(k) for k in seen} == seen, "a finished result was lost or made again"
             victims = rng.sample(sorted(now), 3)
             for name in victims:
-                (store / "runs" / name).rename(tmp_path / f"gone-{kills}-{name}")
+                (store / "runs" / name).rename(tmp_path / f"gone-{begin}-{name}")
             seen = finished(tmp_path)
             continue
         except subprocess.TimeoutExpired:
