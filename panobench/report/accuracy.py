@@ -42,7 +42,7 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
     columns = [Column("method", "Method", numeric=False)] + [Column(s, s, unit, "lower") for s in sequences]
     if len(sequences) > 1:
         columns.append(Column("succeeded", "Succeeded", "", "higher"))
-        columns.append(Column("mean", "Mean", unit, "lower", about="geometric mean, see the ranking rule"))
+        columns.append(Column("mean", "Geom. mean", unit, "lower", about="geometric mean, see the ranking rule"))
     order = rank({str(i): [c.value for c in cells[v]] for i, v in enumerate(everywhere)})
     rows = [_row(everywhere[int(p.name)], p, cells, here, unit) for p in order]
     rows += [_row(v, None, cells, here, unit) for v in cells if v not in everywhere]
