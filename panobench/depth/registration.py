@@ -20,4 +20,10 @@ DEPTH_ESTIMATORS: tuple[DepthSpec, ...] = (
         "panobench.depth.simple:ConstantDepth",
         argument="METRES",
     ),
+    DepthSpec(
+        "network",
+        "an ONNX or TorchScript depth network with a YAML description beside it",
+        "panobench.depth.network:NetworkDepth",
+        argument="FILE",
+    ),
 )

@@ -1,0 +1,154 @@
+"""Depth of the first frame by a network that the user names, or by the one that comes along.
+
+The network sees a panorama, whatever the camera: what the camera does not see is black there. Its answer is turned into
+radial distance and carried back to the camera's pixels.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.reproject import Reprojector, sample_depth
+from panobench.cameras.views import look_rotation, upright_rotation
+from panobench.depth.base import DepthEstimator
+from panobench.depth.network_description import NetworkDescription, read_description
+from panobench.depth.network_model import NetworkModel, check_loadable, load_model
+from panobench.errors import InputError, UsageError
+from panobench.types import DepthEstimate, Frame
+
+F32 = NDArray[np.float32]
+#: Median depth given to what is known up to scale only, as ``bootstrap`` does.
+MEDIAN_DEPTH = 2.0
+#: Least share of the view that needs a usable value.
+LEAST_KNOWN = 0.5
+#: Rays further than this from the optical axis (cosine) have no z depth worth dividing by.
+LEAST_COSINE = 0.05
+
+
+class NetworkDepth(DepthEstimator):
+    """``network:FILE``: an ONNX or TorchScript file with its description beside it."""
+
+    def __init__(self, argument: str = "") -> None:
+        super().__init__(argument)
+        self.path = self._file()
+        check_loadable(self.path)
+        self.description = read_description(self.path)
+
+    def _file(self) -> Path:
+        if not self.argument or "\0" in self.argument:
+            raise UsageError("--depth network:FILE needs an ONNX or TorchScript file")
+        return Path(self.argument).expanduser()
+
+    def start(self, camera: Camera, seed: int = 0) -> None:
+        """Loads the network. Raises InputError, UsageError or UnavailableError when it cannot."""
+        self._view = _View(camera, self.description)
+        self._model: NetworkModel | None = load_model(self.path, self.description)
+
+    def add(self, frame: Frame) -> DepthEstimate:
+        """Raises InputError when the answer is no depth."""
+        if self._model is None:
+            self._model = load_model(self.path, self.description)
+        d = self.description
+        answer = self._model(_normalised(self._view.given(frame.image), d))
+        self._model = None  # its memory and threads
+        depth = self._view.taken_back(answer)
+        known = np.isfinite(depth)
+        valid = self._view.valid
+        share = np.count_nonzero(known & valid) / max(np.count_nonzero(valid), 1)
+        if share < LEAST_KNOWN:
+            raise InputError(
+                f"the network's output is NaN, infinite, not positive or beyond 'far' in {1 - share:.0%} of the view; "
+                "check range, mean, std and meaning in its description",
+                self.path,
+            )
+        depth[~valid] = np.nan
+        if not d.metric:
+            depth *= np.float32(MEDIAN_DEPTH / float(np.nanmedian(depth)))
+        return DepthEstimate(depth, frame.index, metric=d.metric, message=f"network {self.path.name}")
+
+
+class RoomsNetDepth(NetworkDepth):
+    """``rooms-net``: the small network of scripts/train_rooms_net.py, which comes with the package."""
+
+    def _file(self) -> Path:
+        return Path(__file__).parent / "weights" / "rooms-net.onnx"
+
+
+class _View:
+    """Carries images from a camera to the network's input, and its answers back."""
+
+    def __init__(self, camera: Camera, d: NetworkDescription) -> None:
+        self.camera, self.d = camera, d
+        self.valid = camera.valid_mask()
+        self.there: Reprojector | None = None
+        self.back: Reprojector | None = None
+        if d.projection == "erp":
+            panorama = ErpCamera(d.width, d.height)
+            R = look_rotation(d.centre_deg) @ upright_rotation(camera)
+            self.there = Reprojector(camera, panorama, R)
+            self.back = Reprojector(panorama, camera, R.T, antialias=False)
+
+    def given(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What the network is to see, (height, width, 3), RGB."""
+        if self.there is not None:
+            return np.asarray(self.there.image(image), dtype=np.uint8)
+        black = np.where(self.valid[..., None], image, np.uint8(0))
+        return np.asarray(cv2.resize(black, (self.d.width, self.d.height), interpolation=cv2.INTER_AREA))
+
+    def taken_back(self, answer: F32) -> F32:
+        """Answer (h, w) -> radial distance at the camera's pixels (H, W), NaN where it says nothing usable."""
+        h, w = answer.shape
+        distance = _positive(answer, self.d)
+        if self.back is not None:
+            if (h, w) != (self.d.height, self.d.width):
+                distance = _resized(distance, self.d.width, self.d.height)
+            assert self.there is not None
+            distance[~self.there.valid] = np.nan  # what it made of the black around the view
+            depth = self.back.depth(distance)
+        else:
+            depth = _resized(distance, self.camera.width, self.camera.height)
+            if self.d.meaning.endswith("z"):
+                cosine = self.camera.rays()[..., 2]
+                with np.errstate(invalid="ignore"):
+                    depth = np.where(cosine > LEAST_COSINE, depth / cosine, np.nan)
+        depth = (depth * np.float32(self.d.scale)).astype(np.float32)
+        depth[~(depth <= self.d.far)] = np.nan
+        return depth
+
+
+def _normalised(image: NDArray[np.uint8], d: NetworkDescription) -> F32:
+    """(1, 3, h, w) or (1, h, w, 3) float32 as the description asks."""
+    x = image.astype(np.float32) * np.float32(d.range / 255.0)
+    if d.colour == "bgr":
+        x = x[..., ::-1]
+    x = (x - np.array(d.mean, np.float32)) / np.array(d.std, np.float32)
+    x = x.transpose(2, 0, 1) if d.layout == "nchw" else x
+    return np.ascontiguousarray(x[None], dtype=np.float32)
+
+
+def _positive(answer: F32, d: NetworkDescription) -> F32:
+    """Distance or z from what the output means; NaN where that is not finite and positive."""
+    with np.errstate(all="ignore"):
+        if d.meaning.startswith("inverse"):
+            out = 1.0 / answer
+        elif d.meaning == "log-distance":
+            out = np.exp(answer)
+        else:
+            out = answer.copy()
+    out = np.asarray(out, dtype=np.float32)
+    out[~(np.isfinite(out) & (out > 0) & (out < 1e6))] = np.nan
+    return out
+
+
+def _resized(depth: F32, width: int, height: int) -> F32:
+    """Edge-aware, pixel centres at k + 0.5."""
+    h, w = depth.shape
+    x = np.clip((np.arange(width) + 0.5) * w / width - 0.5, 0, w - 1).astype(np.float32)
+    y = np.clip((np.arange(height) + 0.5) * h / height - 0.5, 0, h - 1).astype(np.float32)
+    return sample_depth(depth, *np.meshgrid(x, y), "edge-aware")

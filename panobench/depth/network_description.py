@@ -1,0 +1,166 @@
+"""What a depth network expects and answers: the YAML file beside its weights (docs/depth.md lists the keys)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from panobench.errors import InputError, UnknownNameError
+from panobench.reading import parse_yaml, read_text
+
+#: Longest side of an input, pixels.
+MAX_SIDE = 8192
+PROJECTIONS = ("erp", "image")
+COLOURS = ("rgb", "bgr")
+LAYOUTS = ("nchw", "nhwc")
+#: What a value of the output stands for.
+MEANINGS = ("distance", "inverse-distance", "log-distance", "z", "inverse-z")
+
+
+@dataclass(frozen=True)
+class NetworkDescription:
+    """Input and output of a depth network.
+
+    width, height: input size. projection: "erp" (it wants an upright panorama) or "image" (the camera's own image).
+    centre_deg: longitude of the panorama's middle column to the right of the forward axis.
+    A pixel value v in 0..1 is given as (range v - mean) / std per channel, in the order ``colour``, axes ``layout``.
+    output: name, or position from 0, of the output that has the depth. meaning: see MEANINGS; metric: its unit, times
+    ``scale``, is the metre; otherwise known up to scale only. far: distances beyond it (after ``scale``) are unknown.
+    """
+
+    width: int
+    height: int
+    projection: str = "erp"
+    centre_deg: float = 0.0
+    colour: str = "rgb"
+    range: float = 1.0
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    layout: str = "nchw"
+    output: str | int = 0
+    meaning: str = "distance"
+    metric: bool = False
+    scale: float = 1.0
+    far: float = math.inf
+
+    @property
+    def input_shape(self) -> tuple[int, int, int, int]:
+        """Of one image in a batch."""
+        h, w = self.height, self.width
+        return (1, 3, h, w) if self.layout == "nchw" else (1, h, w, 3)
+
+
+def description_path(network: Path) -> Path:
+    """``model.yaml`` for ``model.onnx``."""
+    return network.with_suffix(".yaml")
+
+
+def read_description(network: Path) -> NetworkDescription:
+    """The description beside ``network``. Raises InputError naming the file and key."""
+    path = description_path(network)
+    if not path.is_file():
+        raise InputError(
+            f"the description of {network.name} is missing: write width, height, meaning, ... there (docs/depth.md)",
+            path,
+        )
+    values = parse_yaml(read_text(path, "the network's description"), path)
+    return check_description(values, path)
+
+
+def check_description(values: Any, path: Path) -> NetworkDescription:
+    """Plain values as a description. Raises InputError for what is missing, unknown or impossible."""
+    if not isinstance(values, Mapping):
+        raise InputError("a network's description is a table of keys and values", path)
+    known = [f.name for f in fields(NetworkDescription)]
+    for key in values:
+        if key not in known:
+            raise InputError(str(UnknownNameError("key", str(key), known)), path)
+    for key in ("width", "height"):
+        if key not in values:
+            raise InputError(f"'{key}' of the network's input is missing", path)
+    kept = {key: _CHECKS[key](key, value, path) for key, value in values.items()}
+    d = NetworkDescription(**kept)
+    if d.projection == "erp" and d.width != 2 * d.height:
+        raise InputError(
+            f"a panorama is twice as wide as high, not {d.width}x{d.height}; or set projection: image", path
+        )
+    if d.projection == "erp" and d.meaning.endswith("z"):
+        raise InputError(f"meaning '{d.meaning}' has no sense on a panorama, which has no image plane", path)
+    return d
+
+
+def _whole(key: str, value: Any, path: Path) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 16 <= value <= MAX_SIDE:
+        raise InputError(f"{key} must be a whole number from 16 to {MAX_SIDE}, not {value!r}", path)
+    return value
+
+
+def _number(key: str, value: Any, path: Path) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(_float(value)):
+        raise InputError(f"{key} must be a number, not {value!r}", path)
+    return float(value)
+
+
+def _float(value: int | float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _positive(key: str, value: Any, path: Path) -> float:
+    number = _number(key, value, path)
+    if number <= 0:
+        raise InputError(f"{key} must be positive, not {value!r}", path)
+    return number
+
+
+def _three(key: str, value: Any, path: Path) -> tuple[float, float, float]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise InputError(f"{key} must be three numbers, one a channel, not {value!r}", path)
+    check = _positive if key == "std" else _number
+    a, b, c = (check(key, v, path) for v in value)
+    return a, b, c
+
+
+def _yes_no(key: str, value: Any, path: Path) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"{key} must be true or false, not {value!r}", path)
+    return value
+
+
+def _output(key: str, value: Any, path: Path) -> str | int:
+    name = isinstance(value, str) and value != ""
+    if not name and (isinstance(value, bool) or not isinstance(value, int) or value < 0):
+        raise InputError(f"{key} must be the output's name, or its position counted from 0, not {value!r}", path)
+    return str(value) if name else int(value)
+
+
+def _one_of(*choices: str) -> Any:
+    def check(key: str, value: Any, path: Path) -> str:
+        if not isinstance(value, str) or value not in choices:
+            raise InputError(str(UnknownNameError(key, str(value), choices)), path)
+        return value
+
+    return check
+
+
+_CHECKS: dict[str, Any] = {
+    "width": _whole,
+    "height": _whole,
+    "projection": _one_of(*PROJECTIONS),
+    "centre_deg": _number,
+    "colour": _one_of(*COLOURS),
+    "range": _positive,
+    "mean": _three,
+    "std": _three,
+    "layout": _one_of(*LAYOUTS),
+    "output": _output,
+    "meaning": _one_of(*MEANINGS),
+    "metric": _yes_no,
+    "scale": _positive,
+    "far": _positive,
+}

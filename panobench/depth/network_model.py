@@ -1,0 +1,182 @@
+"""A depth network ready to run: ONNX through onnxruntime, or TorchScript through torch."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import zipfile
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.depth.network_description import NetworkDescription
+from panobench.depth.onnx_file import MAX_BYTES, check_contents
+from panobench.errors import InputError, UnavailableError, UsageError
+
+F32 = NDArray[np.float32]
+ONNX_SUFFIXES = (".onnx",)
+TORCH_SUFFIXES = (".pt", ".pts", ".ts", ".torchscript")
+#: Set to 1 by users who trust the TorchScript files they name: TorchScript is a program, and may read and write files.
+TRUST_VARIABLE = "PANOBENCH_TRUST_TORCHSCRIPT"
+#: Values an answer may have.
+MAX_VALUES = 1 << 26
+
+
+class NetworkModel(ABC):
+    """A loaded network."""
+
+    def __init__(self, path: Path, description: NetworkDescription) -> None:
+        self.path, self.description = path, description
+
+    @abstractmethod
+    def outputs(self, tensor: F32) -> dict[str | int, Any]:
+        """All outputs for one input, by name where they have one and by position."""
+
+    def __call__(self, tensor: F32) -> F32:
+        """The depth output (h, w), in the network's own unit. Raises InputError when it has not that shape."""
+        wanted = self.description.output
+        try:
+            outputs = self.outputs(tensor)
+        except Exception as error:
+            raise InputError(f"the network failed: {one_line(error)}", self.path) from error
+        if wanted not in outputs:
+            names = ", ".join(str(k) for k in outputs)
+            raise InputError(f"the network has no output '{wanted}'; it has {names}", self.path)
+        answer = np.asarray(outputs[wanted])
+        if answer.size > MAX_VALUES or answer.dtype.kind not in "fiu":
+            raise InputError(
+                f"output '{wanted}' has {answer.size} values of type {answer.dtype}: no depth map", self.path
+            )
+        squeezed = answer.reshape([n for n in answer.shape if n != 1])
+        if squeezed.ndim != 2:
+            raise InputError(f"output '{wanted}' has shape {answer.shape}; one value a pixel is needed", self.path)
+        h, w = squeezed.shape
+        if abs(w * self.description.height - h * self.description.width) > max(h, w):
+            raise InputError(f"output '{wanted}' is {w}x{h}, another aspect ratio than the input's", self.path)
+        return np.ascontiguousarray(squeezed, dtype=np.float32)
+
+
+class OnnxModel(NetworkModel):
+    """ONNX on the CPU. No custom operators, no files from outside the network's folder."""
+
+    def __init__(self, path: Path, description: NetworkDescription) -> None:
+        super().__init__(path, description)
+        check_contents(path)
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = worker_threads()
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 4
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        try:
+            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime has no common base class for its errors
+            raise InputError(f"onnxruntime cannot load it: {one_line(error)}", path) from None
+        inputs = self._session.get_inputs()
+        if len(inputs) != 1:
+            names = ", ".join(i.name for i in inputs)
+            raise InputError(f"the network has {len(inputs)} inputs ({names}); export it with the image alone", path)
+        self._name, self._type = inputs[0].name, _INPUT_TYPES.get(inputs[0].type)
+        if self._type is None:
+            raise InputError(f"the network's input is {inputs[0].type}; float32 or float16 is needed", path)
+        _check_shape(inputs[0].shape, description, path)
+
+    def outputs(self, tensor: F32) -> dict[str | int, Any]:
+        values = self._session.run(None, {self._name: tensor.astype(self._type)})
+        names = [o.name for o in self._session.get_outputs()]
+        return {**dict(zip(names, values)), **dict(enumerate(values))}
+
+
+class TorchScriptModel(NetworkModel):
+    """A TorchScript archive. Loading runs a stranger's program, so that the user has to say that he trusts it."""
+
+    def __init__(self, path: Path, description: NetworkDescription) -> None:
+        super().__init__(path, description)
+        _check_archive(path)
+        import torch
+
+        try:
+            self._module = torch.jit.load(str(path), map_location="cpu").eval()
+        except Exception as error:
+            raise InputError(f"torch cannot load it: {one_line(error)}", path) from None
+
+    def outputs(self, tensor: F32) -> dict[str | int, Any]:
+        import torch
+
+        with torch.no_grad():
+            answer = self._module(torch.from_numpy(tensor))
+        if isinstance(answer, dict):
+            named = {str(k): v for k, v in answer.items()}
+            values = list(named.values())
+        else:
+            named, values = {}, list(answer) if isinstance(answer, (tuple, list)) else [answer]
+        arrays = {k: v.float().numpy() for k, v in named.items() if isinstance(v, torch.Tensor)}
+        return {**arrays, **{i: v.float().numpy() for i, v in enumerate(values) if isinstance(v, torch.Tensor)}}
+
+
+def load_model(path: Path, description: NetworkDescription) -> NetworkModel:
+    """By the file's suffix. Raises InputError, UsageError (TorchScript not trusted) or UnavailableError."""
+    check_loadable(path)
+    return (OnnxModel if path.suffix.lower() in ONNX_SUFFIXES else TorchScriptModel)(path, description)
+
+
+def check_loadable(path: Path) -> None:
+    """What can be said without reading the file. Raises as ``load_model``."""
+    suffix = path.suffix.lower()
+    if suffix not in ONNX_SUFFIXES + TORCH_SUFFIXES:
+        known = ", ".join(ONNX_SUFFIXES + TORCH_SUFFIXES)
+        raise InputError(f"a network's file ends in one of {known}; export it first (docs/depth.md)", path)
+    if not path.is_file():
+        raise InputError("there is no such network", path)
+    if suffix in ONNX_SUFFIXES and importlib.util.find_spec("onnxruntime") is None:
+        raise UnavailableError("ONNX networks need the Python package 'onnxruntime': pip install 'panobench[onnx]'")
+    if suffix in TORCH_SUFFIXES and os.environ.get(TRUST_VARIABLE) != "1":
+        raise UsageError(
+            f"{path}: TorchScript is a program that can read and write your files; if you trust it, set "
+            f"{TRUST_VARIABLE}=1, or use ONNX"
+        )
+
+
+def one_line(error: BaseException) -> str:
+    """The error's message in one line of bounded length; the last line of TorchScript's says most."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
+    text = lines[0] if len(lines) == 1 else f"{lines[0]} ... {lines[-1]}"
+    return text if len(text) <= 300 else text[:297] + "..."
+
+
+def worker_threads() -> int:
+    """Processors this process may use, and not more than OMP_NUM_THREADS says."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return max(1, min(usable, int(asked)) if asked.isdecimal() else usable)
+
+
+_INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
+
+
+def _check_shape(shape: list[Any], description: NetworkDescription, path: Path) -> None:
+    expected = description.input_shape
+    fits = len(shape) == 4 and all(not isinstance(n, int) or n < 1 or n == m for n, m in zip(shape, expected))
+    if not fits:
+        raise InputError(
+            f"the network's input is {'x'.join(map(str, shape))}, its description says {'x'.join(map(str, expected))}",
+            path,
+        )
+
+
+def _check_archive(path: Path) -> None:
+    """Raises InputError unless it is a TorchScript zip of bounded size (weights alone and pickles are refused)."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = archive.infolist()
+    except (OSError, zipfile.BadZipFile, NotImplementedError):
+        raise InputError("not a TorchScript archive; make one with torch.jit.trace(...).save(...)", path) from None
+    if sum(e.file_size for e in entries) > MAX_BYTES:
+        raise InputError(f"over {MAX_BYTES >> 30} GiB unpacked, too large for a network", path)
+    names = {e.filename.partition("/")[2] for e in entries}
+    if "constants.pkl" not in names or not any(n.startswith("code/") for n in names):
+        raise InputError("weights without a network; export it with torch.jit.trace(...).save(...)", path)
