@@ -60,7 +60,7 @@ class NetworkDepth(DepthEstimator):
         depth = self._view.taken_back(answer)
         known = np.isfinite(depth)
         valid = self._view.valid
-        share = np.count_nonzero(known & valid) / max(np.count_nonzero(valid), 1)
+        share = float(known[valid].mean()) if valid.any() else 0.0
         if share < LEAST_KNOWN:
             raise InputError(
                 f"the network's output is NaN, infinite, not positive or beyond 'far' in {1 - share:.0%} of the view; "
@@ -151,4 +151,5 @@ def _resized(depth: F32, width: int, height: int) -> F32:
     h, w = depth.shape
     x = np.clip((np.arange(width) + 0.5) * w / width - 0.5, 0, w - 1).astype(np.float32)
     y = np.clip((np.arange(height) + 0.5) * h / height - 0.5, 0, h - 1).astype(np.float32)
-    return sample_depth(depth, *np.meshgrid(x, y), "edge-aware")
+    columns, rows = np.meshgrid(x, y)
+    return sample_depth(depth, columns, rows, "edge-aware")

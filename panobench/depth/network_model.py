@@ -87,8 +87,9 @@ class OnnxModel(NetworkModel):
 
     def outputs(self, tensor: F32) -> dict[str | int, Any]:
         values = self._session.run(None, {self._name: tensor.astype(self._type)})
-        names = [o.name for o in self._session.get_outputs()]
-        return {**dict(zip(names, values)), **dict(enumerate(values))}
+        out: dict[str | int, Any] = dict(enumerate(values))
+        out.update(zip((o.name for o in self._session.get_outputs()), values))
+        return out
 
 
 class TorchScriptModel(NetworkModel):
@@ -109,13 +110,11 @@ class TorchScriptModel(NetworkModel):
 
         with torch.no_grad():
             answer = self._module(torch.from_numpy(tensor))
-        if isinstance(answer, dict):
-            named = {str(k): v for k, v in answer.items()}
-            values = list(named.values())
-        else:
-            named, values = {}, list(answer) if isinstance(answer, (tuple, list)) else [answer]
-        arrays = {k: v.float().numpy() for k, v in named.items() if isinstance(v, torch.Tensor)}
-        return {**arrays, **{i: v.float().numpy() for i, v in enumerate(values) if isinstance(v, torch.Tensor)}}
+        named = {str(k): v for k, v in answer.items()} if isinstance(answer, dict) else {}
+        values = list(answer) if isinstance(answer, (tuple, list)) else list(named.values()) or [answer]
+        found: dict[str | int, Any] = dict(enumerate(values))
+        found.update(named)
+        return {k: v.float().numpy() for k, v in found.items() if isinstance(v, torch.Tensor)}
 
 
 def load_model(path: Path, description: NetworkDescription) -> NetworkModel:
