@@ -43,7 +43,7 @@ class NetworkModel(ABC):
         except Exception as error:
             raise InputError(f"the network failed: {one_line(error)}", self.path) from error
         if wanted not in outputs:
-            names = ", ".join(str(k) for k in outputs)
+            names = ", ".join(k for k in outputs if isinstance(k, str)) or f"{len(outputs)} without names"
             raise InputError(f"the network has no output '{wanted}'; it has {names}", self.path)
         answer = np.asarray(outputs[wanted])
         if answer.size > MAX_VALUES or answer.dtype.kind not in "fiu":
