@@ -11,6 +11,8 @@ import pluggy
 if TYPE_CHECKING:
     import numpy as np
 
+    from panobench.datasets.base import Sequence as FrameSequence
+    from panobench.methods.base import OnlineMethod
     from panobench.specs import (
         CameraSpec,
         DatasetSpec,
@@ -62,13 +64,19 @@ def register_studies() -> Sequence[StudySpec]:
 
 
 @hookspec
-def run_started(spec: dict[str, Any]) -> None:
-    """A run begins; ``spec`` is what run.json will hold under "spec". Called in the run's process."""
+def run_started(spec: dict[str, Any], sequence: FrameSequence) -> None:
+    """A run begins; ``spec`` is what run.json will hold under "spec". Called in the run's process.
+
+    ``sequence``: what the method is going to see, with its ground truth, which the method does not see.
+    """
 
 
 @hookspec
-def frame_done(frame: Frame, T_wc: np.ndarray | None, latency_s: float) -> None:
-    """A frame was tracked (pose) or not (None). Not counted in the method's time."""
+def frame_done(frame: Frame, T_wc: np.ndarray | None, latency_s: float, method: OnlineMethod) -> None:
+    """A frame was tracked (pose) or not (None). Not counted in the method's time.
+
+    ``method`` is there to be looked at, by ``live_map`` and ``render``.
+    """
 
 
 @hookspec

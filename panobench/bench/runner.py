@@ -88,7 +88,7 @@ def _run(
 ) -> dict[str, Any]:
     origin = provenance()
     spec = request.to_dict()
-    _call_hooks("run_started", log, spec=spec)
+    _call_hooks("run_started", log, spec=spec, sequence=opened.sequence)
     log(f"{request.method} on {request.dataset}/{opened.sequence.name}, {len(opened.sequence)} frames")
     holdout = held_out(len(opened.sequence), request.holdout)
     _seed(request.seed)
@@ -130,13 +130,14 @@ def _track(
         )
         observer.started(len(sequence), truth)
         observer.stage("tracking")
-        if isinstance(opened.method, BatchMethod):
-            return track_batch(opened.method, sequence, holdout, context, observer)
+        method = opened.method
+        if isinstance(method, BatchMethod):
+            return track_batch(method, sequence, holdout, context, observer)
 
         def frame_done(frame: Frame, T_wc: Pose | None, latency: float) -> None:
-            _call_hooks("frame_done", log, frame=frame, T_wc=T_wc, latency_s=latency)
+            _call_hooks("frame_done", log, frame=frame, T_wc=T_wc, latency_s=latency, method=method)
 
-        return track_online(opened.method, sequence, holdout, context, oracle_depth(opened), observer, frame_done)
+        return track_online(method, sequence, holdout, context, oracle_depth(opened), observer, frame_done)
 
 
 def _poses(sequence: Any, truth: Any) -> dict[int, Any]:

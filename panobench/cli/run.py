@@ -6,6 +6,7 @@ Exit codes: 0 ok, 1 the run ended otherwise (lost, crashed, ...), 2 bad input an
 from __future__ import annotations
 
 import json
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,15 @@ from panobench.errors import UsageError
 
 app = typer.Typer()
 EXIT_NOT_OK, EXIT_INTERRUPTED = 1, 130
+
+
+def watching(option: str | None) -> AbstractContextManager[object]:
+    """The viewer of ``--viewer``, attached to the lifecycle hooks while the context lasts."""
+    if option is None:
+        return nullcontext()
+    from panobench.viewer.choose import viewer
+
+    return viewer(option)
 
 
 @app.command()
@@ -39,6 +49,9 @@ def run(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="The run folder; default: a new one below runs/.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out.")] = False,
+    viewer: Annotated[
+        str | None, typer.Option(help="Watch the run: rerun opens a window, rerun:FILE.rrd writes a file.")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print the run's log as it is written.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the run's run.json, and nothing else.")] = False,
@@ -62,7 +75,8 @@ def run(
     )
     if quiet and verbose:
         raise UsageError("--quiet and --verbose exclude each other")
-    folder = run_with_progress(request, out, force, show=verbose or not (quiet or as_json), verbose=verbose)
+    with watching(viewer):
+        folder = run_with_progress(request, out, force, show=verbose or not (quiet or as_json), verbose=verbose)
     from panobench.bench.runfolder import RUN_JSON, read_run_json
 
     document = read_run_json(folder)

@@ -43,6 +43,17 @@ class MethodContext:
     log: Callable[[str], None] = _silent
 
 
+@dataclass(frozen=True)
+class LiveMap:
+    """What a method's map looks like now, in the method's world: points (N, 3), their colours (N, 3) RGB in 0..1, and
+    the poses (K, 4, 4) of its keyframes. Not to be written into.
+    """
+
+    points: NDArray[np.float32]
+    colours: NDArray[np.float32]
+    keyframes: NDArray[np.float64]
+
+
 class OnlineMethod(ABC):
     """Takes frames one by one. The constructor gets the config object named in its spec (or nothing)."""
 
@@ -66,6 +77,10 @@ class OnlineMethod(ABC):
 
     def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
         """RGB (H, W, 3) in 0..1 seen from a pose in the method's own world; None if it has no such map."""
+        return None
+
+    def live_map(self) -> LiveMap | None:
+        """The map as it is between two frames, for viewers; None if there is none to show. Cheap."""
         return None
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
-from panobench.methods.base import MethodContext, OnlineMethod
+from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.mapper import Mapper
@@ -216,6 +216,11 @@ class PanogsMethod(OnlineMethod):
             depth=self.depth,
             extra={"gaussians": len(self.mapper.map), "projection": self._projection(self.camera)},
         )
+
+    def live_map(self) -> LiveMap | None:
+        m = self.mapper
+        keyframes = np.array([v.T_wc for v in m.keyframes]).reshape(-1, 4, 4)
+        return LiveMap(m.map.means, np.clip(m.map.colours, 0.0, 1.0), keyframes) if len(m.map) else None
 
     def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
         if not len(self.mapper.map):

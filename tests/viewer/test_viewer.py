@@ -1,0 +1,57 @@
+"""`panobench run --viewer`: what is written can be read back; without the package one line says what to do."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from panobench.bench.request import RunRequest
+from panobench.bench.runner import execute
+from panobench.errors import OutputError, UnavailableError, UnknownNameError, UsageError
+from panobench.plugins import registry
+from panobench.viewer.choose import viewer
+
+
+@pytest.mark.parametrize(
+    ("option", "error", "message"),
+    [
+        ("reurn", UnknownNameError, "did you mean 'rerun'"),
+        ("rerun:run.txt", UsageError, r"must end in \.rrd"),
+        ("rerun:no/such/folder/run.rrd", OutputError, "there is no folder"),
+    ],
+)
+def test_wrong_options_are_said(option: str, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message), viewer(option):
+        pass
+
+
+def test_without_the_package_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    real = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "rerun" else real(name))
+    with pytest.raises(UnavailableError, match=r"panobench\[viewer\]"), viewer(f"rerun:{tmp_path / 'run.rrd'}"):
+        pass
+
+
+def test_a_run_is_written_and_read_back(tmp_path: Path) -> None:
+    rr = pytest.importorskip("rerun")
+    chunk = pytest.importorskip("rerun.chunk")
+    file = tmp_path / "run.rrd"
+    request = RunRequest(method="panogs", sequence="tiny", width=64, max_frames=8, depth="oracle")
+    with viewer(f"rerun:{file}"):
+        watched = execute(request, tmp_path / "watched")
+    assert not registry().manager.has_plugin("panobench.viewer")
+    entities: dict[str, int] = {}
+    for part in chunk.RrdReader(file).stream():
+        entities[str(part.entity_path)] = entities.get(str(part.entity_path), 0) + part.num_rows
+    for name in ("trajectory", "truth", "keyframes", "map", "camera"):
+        assert entities[f"/world/{name}"] >= 1, name
+    assert entities["/images/frame"] == 8
+    assert entities["/plots/latency_ms"] == 8
+    assert entities["/images/render"] >= 1
+    alone = execute(request, tmp_path / "alone")
+    assert rr.__version__
+    same = [np.loadtxt(folder / "trajectory.tum") for folder in (watched, alone)]
+    assert np.array_equal(*same), "watching changed the run"
