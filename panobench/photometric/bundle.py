@@ -131,8 +131,8 @@ def refine(
 ) -> tuple[NDArray[np.float64], float]:
     """Poses (F, 4, 4) of ``frames`` (F, H, W) from the reference, refined together with the depth of its pixels.
 
-    luma, depth (H, W), rays (H, W, 3) of the reference. Returns the poses, at the scale they came with up to the
-    drift of a free gauge, and the mean robust cost. Too few usable pixels: the poses as they came.
+    luma, depth (H, W), rays (H, W, 3) of the reference. Returns the poses, at the scale of the depth given, and the
+    mean robust cost. Too few usable pixels: the poses as they came.
     """
     ys, xs = select_pixels(luma, rays, depth, options)
     n, F = len(ys), len(frames)
@@ -182,4 +182,9 @@ def refine(
             damping *= 10
             if damping > 1e2:
                 break
+    # The scale is free: what the pixels changed by together, the best determined counting most, is taken back.
+    change = s - np.log(depth[ys, xs].astype(np.float64))
+    by_size, weights = np.argsort(change), np.maximum(state[1], 0)
+    half = np.searchsorted(np.cumsum(weights[by_size]), 0.5 * weights.sum())
+    T[:, :3, 3] *= np.exp(-change[by_size[min(half, n - 1)]])
     return T, cost / (n * F)

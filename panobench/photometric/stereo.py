@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.photometric.planar import depth_information, planar_filter
 from panobench.photometric.pyramid import F32
-from panobench.photometric.sweep import pick_shell, prefer_early, semi_global, smooth_cost, sweep_cost
+from panobench.photometric.sweep import padded, pick_shell, prefer_early, semi_global, smooth_cost, sweep_cost
 from panobench.photometric.warp import camera_code
 
 
@@ -80,10 +80,12 @@ def multi_view_depth(
     T = T_fr.astype(np.float32)
     R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
 
+    frames = padded(images, wrap)
+
     def costs(first: int, last: int) -> F32:
         out = np.empty((*scale.valid.shape, o.shells), np.float32)
         sweep_cost(
-            luma, scale.rays, images, R, t, depths, scale.code, scale.cam, np.float32(o.truncation), first, last, out
+            luma, scale.rays, frames, R, t, depths, scale.code, scale.cam, np.float32(o.truncation), first, last, out
         )
         return out
 

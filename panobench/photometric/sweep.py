@@ -11,22 +11,75 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.photometric.pyramid import F32
-from panobench.photometric.warp import sample, to_pixel
-from panobench.splat.kernel_options import JIT, PARALLEL
+from panobench.photometric.warp import atan2_fast, sample, to_pixel
+from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
+
+
+def padded(frames: F32, wrap: bool) -> F32:
+    """Images (F, H, W) with a border of one pixel: rows repeat and columns wrap on a panorama, else NaN."""
+    out = np.full((frames.shape[0], frames.shape[1] + 2, frames.shape[2] + 2), np.nan, np.float32)
+    out[:, 1:-1, 1:-1] = frames
+    if wrap:
+        out[:, :, 0], out[:, :, -1] = out[:, :, -2], out[:, :, 1]
+        out[:, 0], out[:, -1] = out[:, 1], out[:, -2]
+    return out
+
+
+@njit(**JIT_FINITE)
+def _shells_panorama(depths, rx, ry, rz, tx, ty, tz, w, h, u, v):  # type: ignore[no-untyped-def]
+    """Padded pixel coordinates, to be floored, of the points depths[k] r + t."""
+    per_turn = np.float32(0.5 / np.pi)
+    half = np.float32(0.5)
+    for k in range(len(depths)):
+        x, y, z = depths[k] * rx + tx, depths[k] * ry + ty, depths[k] * rz + tz
+        rho = np.sqrt(x * x + z * z)
+        a = w * (half + atan2_fast(x, z) * per_turn) + half
+        b = h * (half + np.float32(2) * atan2_fast(y, rho) * per_turn) + half
+        u[k], v[k] = min(max(a, half), w + half), min(max(b, np.float32(0)), h)
+
+
+@njit(**JIT_FINITE)
+def _shells_pinhole(depths, rx, ry, rz, tx, ty, tz, cam, u, v):  # type: ignore[no-untyped-def]
+    """As above; what lies outside the image is put on its border of NaN."""
+    half = np.float32(0.5)
+    for k in range(len(depths)):
+        x, y, z = depths[k] * rx + tx, depths[k] * ry + ty, depths[k] * rz + tz
+        front = z >= np.float32(1e-3)
+        inv = np.float32(1) / (z if front else np.float32(1))
+        a = cam[2] * x * inv + cam[4] + half
+        b = cam[3] * y * inv + cam[5] + half
+        u[k] = min(max(a, np.float32(0)), cam[0]) if front else np.float32(0)
+        v[k] = min(max(b, np.float32(0)), cam[1]) if front else np.float32(0)
+
+
+@njit(**JIT)
+def _add_differences(image, u, v, value, truncation, cost, hits):  # type: ignore[no-untyped-def]
+    """cost += min(|I(u, v) - value|, truncation) and hits += 1, where the padded image is known there."""
+    for k in range(len(cost)):
+        x, y = np.uint32(u[k]), np.uint32(v[k])
+        a, b = u[k] - np.float32(x), v[k] - np.float32(y)
+        x1, y1 = x + np.uint32(1), y + np.uint32(1)
+        top = image[y, x] + a * (image[y, x1] - image[y, x])
+        bottom = image[y1, x] + a * (image[y1, x1] - image[y1, x])
+        s = abs(top + b * (bottom - top) - value)
+        known = s == s
+        cost[k] += min(s, truncation) if known else np.float32(0)
+        hits[k] += np.float32(1) if known else np.float32(0)
 
 
 @njit(**PARALLEL)
 def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, first, last, out):  # type: ignore[no-untyped-def]
     """Mean truncated |I_f - I_r| per shell over the frames ``first`` to ``last`` - 1.
 
-    reference (H, W) luma; rays (H, W, 3) float32; frames (F, H, W); R (F, 3, 3), t (F, 3): frame from reference
-    camera; depths (D,) radial. out (H, W, D); samples outside a frame's view cost nothing and do not count, and a
-    pixel no frame sees costs half the truncation everywhere.
+    reference (H, W) luma; rays (H, W, 3) float32; frames (F, H + 2, W + 2), ``padded``; R (F, 3, 3), t (F, 3): frame
+    from reference camera; depths (D,) radial. out (H, W, D); samples outside a frame's view cost nothing and do not
+    count, and a pixel no frame sees costs half the truncation everywhere.
     """
     h, w = reference.shape
     n_depths = len(depths)
     for y in prange(h):
         hits = np.empty(n_depths, np.float32)
+        u, v = np.empty(n_depths, np.float32), np.empty(n_depths, np.float32)
         for x in range(w):
             cost = out[y, x]
             for k in range(n_depths):
@@ -38,17 +91,38 @@ def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, fir
                     rx = R[f, 0, 0] * rays[y, x, 0] + R[f, 0, 1] * rays[y, x, 1] + R[f, 0, 2] * rays[y, x, 2]
                     ry = R[f, 1, 0] * rays[y, x, 0] + R[f, 1, 1] * rays[y, x, 1] + R[f, 1, 2] * rays[y, x, 2]
                     rz = R[f, 2, 0] * rays[y, x, 0] + R[f, 2, 1] * rays[y, x, 1] + R[f, 2, 2] * rays[y, x, 2]
-                    image = frames[f]
-                    for k in range(n_depths):
-                        d = depths[k]
-                        u, v, ok = to_pixel(d * rx + t[f, 0], d * ry + t[f, 1], d * rz + t[f, 2], code, cam)
-                        if ok:
-                            s = abs(sample(image, u, v, code) - value)
-                            if s == s:
-                                cost[k] += min(s, truncation)
-                                hits[k] += np.float32(1)
+                    if code == 0:
+                        _shells_panorama(depths, rx, ry, rz, t[f, 0], t[f, 1], t[f, 2], cam[0], cam[1], u, v)
+                    else:
+                        _shells_pinhole(depths, rx, ry, rz, t[f, 0], t[f, 1], t[f, 2], cam, u, v)
+                    _add_differences(frames[f], u, v, value, truncation, cost, hits)
             for k in range(n_depths):
                 cost[k] = cost[k] / hits[k] if hits[k] > 0 else np.float32(0.5) * truncation
+
+
+@njit(**PARALLEL)
+def reprojection_error(reference, rays, frames, R, t, depth, code, cam, truncation, out):  # type: ignore[no-untyped-def]
+    """Mean truncated |I_f - I_r| over the frames at one depth (H, W) per pixel; NaN where there is no depth.
+
+    Other arguments as in ``sweep_cost``; out (H, W).
+    """
+    h, w = reference.shape
+    for y in prange(h):
+        for x in range(w):
+            d, value = depth[y, x], reference[y, x]
+            cost, hits = np.float32(0), np.float32(0)
+            if d == d and value == value:
+                for f in range(frames.shape[0]):
+                    rx = R[f, 0, 0] * rays[y, x, 0] + R[f, 0, 1] * rays[y, x, 1] + R[f, 0, 2] * rays[y, x, 2]
+                    ry = R[f, 1, 0] * rays[y, x, 0] + R[f, 1, 1] * rays[y, x, 1] + R[f, 1, 2] * rays[y, x, 2]
+                    rz = R[f, 2, 0] * rays[y, x, 0] + R[f, 2, 1] * rays[y, x, 1] + R[f, 2, 2] * rays[y, x, 2]
+                    u, v, ok = to_pixel(d * rx + t[f, 0], d * ry + t[f, 1], d * rz + t[f, 2], code, cam)
+                    if ok:
+                        s = abs(sample(frames[f], u, v, code) - value)
+                        if s == s:
+                            cost += min(s, truncation)
+                            hits += np.float32(1)
+            out[y, x] = cost / hits if hits > 0 else np.float32(np.nan)
 
 
 @njit(**PARALLEL)

@@ -26,14 +26,15 @@ class PanogsConfig:
     keyframe_max_rel: float = 0.08
     keyframe_interval: int = 5
     keyframe_new: float = 0.04
+    keyframe_new_interval: int = 4
     # Gaussians
     pixels_per_gaussian: float = 4.0
     insert_opacity: float = 0.5
     insert_error: float = 0.12
     sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
     sweep_share: float = 0.01  # of the image that must be new for a sweep
-    sweep_frames: int = 8
-    insert_delay: int = 8  # frames a newly seen region waits, so that later ones see it too
+    delay: int = 12  # frames looked back: the length of the smoothed window, and what a newly seen region waits
+    smooth: bool = True  # refine the poses of the last frames jointly with depth, behind the tracker
     sweep_confidence: float = 0.4
     carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong
     depth_guided: bool = True  # False: the "w/o DGIS" ablation
@@ -45,6 +46,7 @@ class PanogsConfig:
     initial_iterations: int = 40
     random_views: int = 2
     random_from: Literal["frames", "keyframes"] = "frames"
+    frame_pool: int = 300  # frames that are no keyframes kept for mapping
     refine_poses: bool = True
     pose_rate_rotation: float = 2e-4
     pose_rate_translation_rel: float = 2e-4
@@ -72,6 +74,7 @@ PAPER: dict[str, Any] = {
     "keyframe_new": 1.0,
     "carve": False,
     "sweep": False,
+    "smooth": False,
     "solver": "adam",
     "tracking_iterations": 15,
     "mapping_iterations": 30,

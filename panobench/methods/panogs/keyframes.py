@@ -37,7 +37,7 @@ def is_keyframe(
 
     Not MonoGS's: a frame of which ``new_share`` is unknown to the map, or drawn wrong, is a keyframe at once.
     """
-    if new_share > config.keyframe_new and frames_since >= 2:
+    if new_share > config.keyframe_new and frames_since >= config.keyframe_new_interval:
         return True
     common = overlap(visible, last_visible)
     if not window_full:

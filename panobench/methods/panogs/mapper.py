@@ -17,6 +17,8 @@ from panobench.splat.render import Renderer, RenderOutput
 
 #: Of the swept depth: anything nearer is taken to stand in front of the surface.
 _CARVE_BEFORE = 0.85
+#: Of what is seen of a Gaussian, the part on wrong pixels from which it is one of the culprits.
+_CARVE_SHARE = 0.25
 
 
 class Mapper:
@@ -46,16 +48,21 @@ class Mapper:
         self.median_depth = float(np.nanmedian(depth))
         self._seed(view, depth, equal_area_pixels(self.camera, self.count, self.rng))
 
-    def insert(self, view: View, render: RenderOutput, swept: F32 | None = None) -> int:
+    def insert(
+        self, view: View, render: RenderOutput, swept: F32 | None = None, disproved: NDArray[np.bool_] | None = None
+    ) -> int:
         """New Gaussians for a keyframe where the map is thin or wrong; returns how many.
 
         Where the opacity is low, depth is ``swept`` (H, W) from the last frames if given, else the rendered depth,
         else that of the nearest pixel that has one (across the seam) plus a small perturbation (DGIS). Without
-        ``depth_guided`` it is the median depth, perturbed as MonoGS does.
+        ``depth_guided`` it is the median depth, perturbed as MonoGS does. ``render``: the renderer's last, at the
+        view; disproved (H, W): where the swept depth also replaces what the map has.
         """
         wanted = self.thin(render)
         if swept is not None:
             wrong = self.wrong(view, render)
+            if disproved is not None:
+                wrong |= disproved & (self.weights > 0)
             wanted |= wrong
             if self.config.carve:
                 self.carve(view, wrong, swept)
@@ -77,16 +84,18 @@ class Mapper:
         return self._seed(view, depth.astype(np.float32), pixels)
 
     def carve(self, view: View, wrong: NDArray[np.bool_], swept: F32) -> int:
-        """Drop what stands well in front of the swept surface where the map's colour is wrong; returns how many.
+        """Drop what stands well in front of the swept surface where the map is wrong; returns how many.
 
-        New Gaussians behind such leftovers would never be seen.
+        New Gaussians behind such leftovers would never be seen. A large Gaussian may cover an opening from beside it,
+        so what counts is where it is seen, not where its centre lies. Uses the renderer's last render, at ``view``.
         """
-        points = (self.map.means - view.position) @ view.T_wc[:3, :3]
-        distance = np.linalg.norm(points, axis=1)
-        pixels, valid = self.camera.project(points / np.maximum(distance, 1e-9)[:, None])
-        x = np.clip(np.nan_to_num(pixels[:, 0]).astype(np.intp), 0, self.camera.width - 1)
-        y = np.clip(np.nan_to_num(pixels[:, 1]).astype(np.intp), 0, self.camera.height - 1)
-        return self._drop(valid & wrong[y, x] & (distance < _CARVE_BEFORE * swept[y, x]))
+        distance = np.linalg.norm(self.map.means - view.position, axis=1)
+        known = wrong & np.isfinite(swept)
+        shares = np.stack([known, self.weights > 0, np.where(known, swept, 0)]).astype(np.float32)
+        # Colours blend linearly, so these gradients are the sums of each Gaussian's blending weights.
+        there, anywhere, deep = self.renderer.backward(shares, planar=True).colours.T
+        behind = deep / np.maximum(there, 1e-6)
+        return self._drop((there > _CARVE_SHARE * anywhere) & (there > 1e-3) & (distance < _CARVE_BEFORE * behind))
 
     def local_depth(self, render: RenderOutput) -> float:
         """Median rendered depth, from every fourth row and column; the first map's where nothing is drawn."""
@@ -118,6 +127,12 @@ class Mapper:
     def add_keyframe(self, view: View, window: list[View]) -> None:
         self.keyframes.append(view)
         self.window = window
+
+    def remember(self, view: View) -> None:
+        """Keep a frame that is no keyframe for mapping; beyond ``frame_pool`` of them a random one makes room."""
+        self.frames.append(view)
+        if len(self.frames) > self.config.frame_pool:
+            del self.frames[int(self.rng.integers(len(self.frames)))]
 
     # -- optimising ----------------------------------------------------------------------------------------------
 

@@ -6,80 +6,94 @@ tens of percent there. So the frame that receives depth lies some frames back, a
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.geometry import invert_pose
+from panobench.methods.panogs.recent import RecentFrame
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
+from panobench.photometric.sweep import reprojection_error
 
-#: Working width of the sweep.
-SWEEP_WIDTH = 256
-#: A frame is remembered if it moved this far from the last remembered one, over the scene's depth.
-STEP_MIN = 0.008
 #: Sweeping needs at least this translation over the median depth.
 PARALLAX_MIN = 0.03
+#: Range of the sweep over the median depth.
+NEAR, FAR = 0.1, 15.0
+#: Swept depth is another than the map's if it differs by this, in log depth.
+OTHER_DEPTH = 0.1
+#: It disproves the map's if its error is below this share of the map's, less a margin (of 1).
+BETTER_SHARE, BETTER_MARGIN = 0.6, 0.004
+#: Pixels over which errors are averaged before they are compared.
+_ERROR_WINDOW = (5, 5)
 
 
 @dataclass
-class Remembered:
-    """A tracked frame: its number, image and luma at the sweep's size."""
+class Swept:
+    """Depth and confidence (0..1) of a frame, (h, w) at the working size, and what it was swept from."""
 
-    index: int
-    image: NDArray[np.uint8]
-    luma: F32
+    depth: F32
+    confidence: F32
+    target: RecentFrame
+    images: F32
+    T_fr: NDArray[np.float64]
 
 
-class RecentFrames:
-    """The last frames that moved, and the plane sweep over them."""
+class NewDepth:
+    """Sweeps, and judges the map's depth by the same frames."""
 
-    def __init__(self, camera: Camera, size: int) -> None:
-        self.camera = camera
-        self.scale = WorkingScale.of(camera, SWEEP_WIDTH)
-        self._frames: deque[Remembered] = deque(maxlen=2 * size)
-        self._last = np.full(3, np.inf)
-
-    def add(
-        self, index: int, image: NDArray[np.uint8], pyramid: list[F32], position: NDArray[np.float64], depth: float
-    ) -> None:
-        """Remember a tracked frame unless it hardly moved; ``depth``: the scene's, in the unit of ``position``."""
-        if np.linalg.norm(position - self._last) < STEP_MIN * depth:
-            return
-        self._last = position
-        self._frames.append(Remembered(index, image, pyramid[min(self.scale.level, len(pyramid) - 1)]))
-
-    def delayed(self, delay: int) -> Remembered | None:
-        """The frame ``delay`` frames before the newest; None while there are too few."""
-        return self._frames[-1 - delay] if len(self._frames) >= max(delay + 3, 4) else None
+    def __init__(self, camera: Camera, scale: WorkingScale) -> None:
+        self.camera, self.scale = camera, scale
 
     def sweep(
-        self,
-        target: Remembered,
-        pose: Callable[[int], NDArray[np.float64]],
-        near: float,
-        far: float,
-        depth: float,
-        confidence_min: float,
-    ) -> F32 | None:
-        """Radial depth (H, W) of ``target`` in the map's unit, or None without enough parallax.
+        self, target: RecentFrame, others: list[RecentFrame], T_fr: NDArray[np.float64], depth: float
+    ) -> Swept | None:
+        """Radial depth of ``target`` in the unit of the poses, or None without enough parallax.
 
-        pose: frame number -> T_wc; near, far: range; depth: the scene's median. NaN where the confidence is below
-        ``confidence_min``: better left for a later frame.
+        T_fr (F, 4, 4): the others' poses from the target; depth: the scene's median.
         """
-        frames = list(self._frames)
-        others = frames[next(i for i, f in enumerate(frames) if f is target) + 1 :]
-        T_wc = pose(target.index)
-        T_fr = np.stack([invert_pose(pose(f.index)) @ T_wc for f in others])
         if np.linalg.norm(T_fr[:, :3, 3], axis=1).max() < PARALLAX_MIN * depth:
             return None
-        if target.luma.shape != self.scale.valid.shape:
-            return None
         images = np.stack([f.luma for f in others])
-        swept, confidence = multi_view_depth(target.luma, self.scale, images, T_fr, near, far, SweepOptions())
-        swept = np.where(confidence >= confidence_min, swept, np.float32(np.nan))
-        return resize_panorama(swept, (self.camera.height, self.camera.width), self.camera.kind == "erp")
+        found, confidence = multi_view_depth(
+            target.luma, self.scale, images, T_fr, NEAR * depth, FAR * depth, SweepOptions()
+        )
+        return Swept(found, confidence, target, images, T_fr)
+
+    def full_size(self, swept: Swept, confidence_min: float) -> F32:
+        """Its depth (H, W) at the camera's size, NaN where it is unsure: better left for a later frame."""
+        sure = np.where(swept.confidence >= confidence_min, swept.depth, np.float32(np.nan))
+        return resize_panorama(sure, (self.camera.height, self.camera.width), self.camera.kind == "erp")
+
+    def map_over_swept(self, swept: Swept, mapped: F32) -> float:
+        """Median ratio of the map's depth (H, W) to the swept one; 1 where they share too little."""
+        small = cv2.resize(mapped, self.scale.valid.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        ratio = (small / swept.depth)[np.isfinite(small) & self.scale.valid]
+        return float(np.median(ratio)) if ratio.size > 0.05 * small.size else 1.0
+
+    def disproved(self, swept: Swept, mapped: F32) -> NDArray[np.bool_]:
+        """(H, W): where another depth than ``mapped`` (H, W) explains the frames much better.
+
+        Gaussians that spread over an opening can have the right colour at the wrong depth.
+        """
+        size = self.scale.valid.shape[::-1]
+        small = cv2.resize(mapped, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+        with np.errstate(invalid="ignore"):
+            other = np.abs(np.log(small / swept.depth)) > OTHER_DEPTH
+            better = self._error(swept, swept.depth) < BETTER_SHARE * self._error(swept, small) - BETTER_MARGIN
+        full = cv2.resize((other & better).view(np.uint8), (self.camera.width, self.camera.height), interpolation=0)
+        return np.asarray(full > 0)
+
+    def _error(self, swept: Swept, depth: F32) -> F32:
+        """Mean reprojection error around each pixel if its depth were ``depth`` (h, w)."""
+        s, out = self.scale, np.empty(depth.shape, np.float32)
+        T = swept.T_fr.astype(np.float32)
+        R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
+        truncation = np.float32(SweepOptions().truncation)
+        reprojection_error(swept.target.luma, s.rays, swept.images, R, t, depth, s.code, s.cam, truncation, out)
+        known = np.isfinite(out)
+        total = cv2.blur(np.where(known, out, 0).astype(np.float32), _ERROR_WINDOW)
+        count = cv2.blur(known.astype(np.float32), _ERROR_WINDOW)
+        return np.where(count > 0, total / np.maximum(count, 1e-6), np.nan).astype(np.float32)

@@ -17,10 +17,12 @@ from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.mapper import Mapper
-from panobench.methods.panogs.newdepth import RecentFrames
-from panobench.methods.panogs.tracker import OPACITY_MIN, Tracked, Tracker
+from panobench.methods.panogs.newdepth import NewDepth, Swept
+from panobench.methods.panogs.recent import RecentFrame, RecentFrames
+from panobench.methods.panogs.smoothing import Smoother
+from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
-from panobench.splat.render import Renderer, RenderOutput
+from panobench.splat.render import Renderer
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
@@ -58,7 +60,9 @@ class PanogsMethod(OnlineMethod):
         self.estimator = context.make_depth() if context.make_depth else None
         if self.estimator:
             self.estimator.start(camera, context.seed)
-        self.recent = RecentFrames(camera, self.config.sweep_frames)
+        self.recent = RecentFrames(camera, self.config.delay + 1)
+        self.smoother = Smoother(self.recent.fine)
+        self.new_depth = NewDepth(camera, self.recent.scale)
         self.waiting: list[Frame] = []
         self.records: dict[int, _Record] = {}
         self.numbers: dict[int, dict[str, float]] = {}
@@ -153,48 +157,62 @@ class PanogsMethod(OnlineMethod):
             self.config, seen > 0, last_seen > 0, distance, frame.index - last.index,
             len(m.window) >= self.config.window, new_share,
         ):  # fmt: skip
-            m.frames.append(view)
+            m.remember(view)
             return False
         before = len(m.map)
-        if self.config.sweep:
-            self._insert_swept(self.config.insert_delay, local, self.config.sweep_confidence)
-        else:
-            m.insert(view, tracked.render)
-        grown = max(len(m.map) - before, 0) / m.count
         m.add_keyframe(view, update_window(m.window, view, self.config.window))
-        m.optimise(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
-        m.prune()
         record = self.records[frame.index]
         record.anchor, record.relative = view, np.eye(4)
+        self._look_back(local)
+        if not self.config.sweep:
+            m.insert(view, tracked.render)
+        grown = max(len(m.map) - before, 0) / m.count
+        m.optimise(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
+        m.prune()
         velocity = self.tracker.velocity
         self.tracker.reset(view.T_wc, velocity)
         return True
 
-    def _insert_swept(self, delay: int, depth: float, confidence: float) -> None:
-        """New Gaussians for what the frame ``delay`` frames ago saw first, from a sweep over the frames since."""
-        m, target = self.mapper, self.recent.delayed(delay)
-        if target is None:
-            return
-        view = View(target.index, target.image, self.records[target.index].T_wc)
-        render = m.renderer.forward(m.map, view.T_wc, sloped=True)
-        if float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) <= self.config.sweep_share:
-            return
-        swept = self.recent.sweep(target, lambda i: self.records[i].T_wc, 0.1 * depth, 15.0 * depth, depth, confidence)
-        if swept is not None:
-            m.insert(view, render, self._at_map_scale(swept, view, render))
+    def _look_back(self, depth: float) -> None:
+        """Where a frame some way back saw much that was new: refine the poses since, and give the new its Gaussians.
 
-    def _at_map_scale(self, swept: NDArray[np.float32], view: View, render: RenderOutput) -> NDArray[np.float32]:
-        """Swept depth scaled to agree with the map where the map knows.
-
-        The sweep inherits the scale of the last poses, and poses that of the map they were tracked against; handing
-        it on to new parts of the map would compound every small error.
+        Elsewhere the map has the last word: frames aligned to one map do not drift. ``depth``: the scene's, now.
         """
-        m = self.mapper
-        ratio = render.expected_depth(OPACITY_MIN) / swept
-        known = np.isfinite(ratio) & (m.weights > 0) & ~m.wrong(view, render)
-        if np.count_nonzero(known) < 0.05 * known.size:
-            return swept
-        return swept * np.float32(np.clip(np.median(ratio[known]), 0.8, 1.25))
+        m, c, back = self.mapper, self.config, self.recent.split(self.config.delay)
+        if back is None or not (c.smooth or c.sweep):
+            return
+        target, others = back
+        view = View(target.index, target.image, self._pose(target.index))
+        render = m.renderer.forward(m.map, view.T_wc, sloped=True)
+        if float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) <= c.sweep_share:
+            self.smoother.keep(others)
+            return
+        swept = self._sweep(view, back, depth)
+        mapped = render.expected_depth(0.5)
+        if swept is not None and c.smooth:
+            scale = self.new_depth.map_over_swept(swept, mapped)
+            self._move(self.smoother.refine(target, others, self._pose, swept.depth, scale))
+            swept = self._sweep(view, back, depth)
+        if swept is not None and c.sweep:
+            disproved = self.new_depth.disproved(swept, mapped)
+            m.insert(view, render, self.new_depth.full_size(swept, c.sweep_confidence), disproved)
+
+    def _sweep(self, view: View, back: tuple[RecentFrame, list[RecentFrame]], depth: float) -> Swept | None:
+        """Sweep for ``view`` with the current poses, from a tenth of to 15 times the scene's ``depth``."""
+        T_fr = np.stack([invert_pose(self._pose(f.index)) @ view.T_wc for f in back[1]])
+        return self.new_depth.sweep(*back, T_fr, depth)
+
+    def _pose(self, index: int) -> NDArray[np.float64]:
+        return self.records[index].T_wc
+
+    def _move(self, poses: dict[int, NDArray[np.float64]]) -> None:
+        """Give tracked frames new poses T_wc; frames anchored to a keyframe among them follow it."""
+        for view in [*self.mapper.keyframes, *self.mapper.frames]:
+            view.T_wc = poses.get(view.index, view.T_wc)
+        for index, T_wc in poses.items():
+            record = self.records[index]
+            if record.anchor.index != index:
+                record.relative = invert_pose(record.anchor.T_wc) @ T_wc
 
     def finish(self) -> Estimate:
         if self.depth is None and self.waiting:

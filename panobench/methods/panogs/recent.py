@@ -1,0 +1,59 @@
+"""The last frames that moved, at the size on which their poses and depths are worked out together."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.photometric.pyramid import F32
+from panobench.photometric.stereo import WorkingScale
+
+#: Working widths of sweeps and of pose refinement.
+SWEEP_WIDTH = 256
+FINE_WIDTH = 512
+#: A frame is remembered if it moved this far from the last remembered one, over the scene's depth.
+STEP_MIN = 0.008
+
+
+@dataclass
+class RecentFrame:
+    """A tracked frame: its number, image (H, W, 3), and luma (h, w) at the sweep's and at the smoother's size."""
+
+    index: int
+    image: NDArray[np.uint8]
+    luma: F32
+    fine: F32
+
+
+class RecentFrames:
+    """A ring of at most ``size`` frames, oldest first."""
+
+    def __init__(self, camera: Camera, size: int) -> None:
+        self.scale = WorkingScale.of(camera, SWEEP_WIDTH)
+        self.fine = WorkingScale.of(camera, FINE_WIDTH)
+        self._frames: deque[RecentFrame] = deque(maxlen=size)
+        self._last = np.full(3, np.inf)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def add(
+        self, index: int, image: NDArray[np.uint8], pyramid: list[F32], position: NDArray[np.float64], depth: float
+    ) -> None:
+        """Remember a tracked frame unless it hardly moved; ``depth``: the scene's, in the unit of ``position``."""
+        if np.linalg.norm(position - self._last) < STEP_MIN * depth:
+            return
+        luma, fine = (pyramid[min(scale.level, len(pyramid) - 1)] for scale in (self.scale, self.fine))
+        if luma.shape != self.scale.valid.shape:
+            return
+        self._last = position
+        self._frames.append(RecentFrame(index, image, luma, fine))
+
+    def split(self, delay: int) -> tuple[RecentFrame, list[RecentFrame]] | None:
+        """The frame ``delay`` before the newest, and those after it; None while there are too few."""
+        frames = list(self._frames)[-1 - delay :]
+        return (frames[0], frames[1:]) if len(frames) > delay else None

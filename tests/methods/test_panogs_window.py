@@ -1,0 +1,124 @@
+"""What PanoGS does behind the tracker: poses of the last frames, depth of what is new, and clearing what is wrong."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from panobench.datasets.base import Sequence
+from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.geometry import invert_pose
+from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.newdepth import NewDepth, Swept
+from panobench.methods.panogs.recent import RecentFrame, RecentFrames
+from panobench.methods.panogs.smoothing import Smoother
+from panobench.methods.panogs.views import View
+from panobench.photometric.pyramid import luma_of_frame, pyramid
+from panobench.splat.gaussians import GaussianMap
+from panobench.splat.render import Renderer
+
+WIDTH, FRAMES = 256, 13
+
+
+@lru_cache(maxsize=1)
+def room() -> Sequence:
+    return RoomsDataset().open("tiny", width=WIDTH)
+
+
+@lru_cache(maxsize=1)
+def remembered() -> tuple[RecentFrames, RecentFrame, tuple[RecentFrame, ...]]:
+    sequence = room()
+    recent = RecentFrames(sequence.camera, FRAMES)
+    for i in range(FRAMES):
+        image = sequence.image(i)
+        levels = pyramid(luma_of_frame(image, sequence.camera.valid_mask()))
+        recent.add(i, image, levels, np.full(3, float(i)), 1.0)
+    back = recent.split(FRAMES - 1)
+    assert back is not None
+    return recent, back[0], tuple(back[1])
+
+
+def truth() -> list[np.ndarray]:
+    groundtruth = room().groundtruth
+    assert groundtruth is not None
+    first = invert_pose(groundtruth.T_wc[0])
+    return [first @ T for T in groundtruth.T_wc[:FRAMES]]
+
+
+def shortened(poses: list[np.ndarray], factor: float, first: int = 0) -> list[np.ndarray]:
+    out = [T.copy() for T in poses]
+    for T in out[first:]:
+        T[:3, 3] *= factor
+    return out
+
+
+def lengths(poses: dict[int, np.ndarray]) -> np.ndarray:
+    return np.array([np.linalg.norm(poses[i][:3, 3]) for i in sorted(poses) if i >= FRAMES // 2])
+
+
+def test_short_poses_get_the_scale_of_the_depth() -> None:
+    recent, target, others = remembered()
+    exact = truth()
+    short = shortened(exact, 0.96)
+    depth = room().depth(0)
+    assert depth is not None
+    refined = Smoother(recent.fine).refine(target, list(others), lambda i: short[i], depth)
+    ratio = lengths(refined) / lengths(dict(enumerate(exact)))
+    assert np.all(np.abs(ratio - 1) < 0.012)
+
+
+def test_settled_frames_carry_the_scale_to_the_next_window() -> None:
+    recent, target, others = remembered()
+    exact = truth()
+    mixed = shortened(exact, 0.94, first=9)
+    depth = room().depth(0)
+    assert depth is not None
+    smoother = Smoother(recent.fine)
+    smoother.keep(list(others[:8]))
+    refined = smoother.refine(target, list(others), lambda i: mixed[i], 0.9 * depth, first_stretch=3.0)
+    ratio = lengths(refined) / lengths(dict(enumerate(exact)))
+    assert np.all(np.abs(ratio - 1) < 0.015)
+
+
+def test_a_wrong_surface_is_disproved_where_it_shows_and_nowhere_else() -> None:
+    recent, target, others = remembered()
+    exact = truth()
+    depth = room().depth(0)
+    assert depth is not None
+    T_fr = np.stack([invert_pose(exact[f.index]) for f in others])
+    swept = Swept(depth, np.ones_like(depth), target, np.stack([f.luma for f in others]), T_fr)
+    mapped = depth.copy()
+    patch = np.zeros(depth.shape, bool)
+    patch[48:88, 60:120] = True
+    mapped[patch] *= 0.5
+    disproved = NewDepth(room().camera, recent.scale).disproved(swept, mapped)
+    assert disproved[patch].mean() > 0.25
+    assert not disproved[~patch].any()
+
+
+def test_carving_removes_a_veil_and_leaves_the_rest() -> None:
+    sequence = room()
+    camera, depth = sequence.camera, sequence.depth(0)
+    assert depth is not None
+    mapper = Mapper(camera, Renderer(camera), PanogsConfig(), seed=0)
+    view = View(0, sequence.image(0), np.eye(4))
+    mapper.initialise(view, depth)
+    behind = len(mapper.map)
+    ray = camera.rays()[64, 128]
+    veil = GaussianMap(
+        (0.4 * depth[64, 128] * ray + np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0]])).astype(np.float32),
+        np.full((2, 3), np.log(0.1), np.float32),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (2, 1)),
+        np.full(2, 4.0, np.float32),
+        np.full((2, 3), 0.5, np.float32),
+    )
+    mapper.map = mapper.map.concat(veil)
+    mapper.adam.extend(2)
+    mapper.born = np.concatenate([mapper.born, np.zeros(2, np.int32)])
+    render = mapper.renderer.forward(mapper.map, view.T_wc)
+    covered = render.depth < 0.8 * depth
+    dropped = mapper.carve(view, covered, depth)
+    assert 2 <= dropped <= 2 + 0.02 * behind
+    assert not (np.abs(mapper.map.means[:, None] - veil.means[None]).max(axis=-1) < 1e-6).any()
