@@ -26,4 +26,10 @@ DEPTH_ESTIMATORS: tuple[DepthSpec, ...] = (
         "panobench.depth.network:NetworkDepth",
         argument="FILE",
     ),
+    DepthSpec(
+        "rooms-net",
+        "a small network that comes along, trained on built-in rooms",
+        "panobench.depth.network:RoomsNetDepth",
+        requires=("onnxruntime",),
+    ),
 )

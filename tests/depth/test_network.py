@@ -258,3 +258,19 @@ def test_a_large_file_is_refused_unread(tmp_path: Path) -> None:
         file.truncate((2 << 30) + 1)
     with pytest.raises(InputError, match="too large"):
         answer(network, CAMERAS["erp"])
+
+
+def test_the_network_that_comes_along_beats_a_constant_by_far() -> None:
+    from panobench.datasets.rooms.dataset import RoomsDataset
+    from panobench.depth.network import RoomsNetDepth
+
+    sequence = RoomsDataset().open("tiny", width=64)
+    truth = sequence.depth(0)
+    assert truth is not None
+    estimator = RoomsNetDepth()
+    estimator.start(sequence.camera)
+    errors = []
+    for depth in (estimator.add(Frame(0, 0.0, sequence.image(0))).depth, np.ones_like(truth)):
+        ratio = depth / truth
+        errors.append(float(np.nanmedian(np.abs(ratio / np.nanmedian(ratio) - 1))))
+    assert errors[0] < 0.3 * errors[1]
