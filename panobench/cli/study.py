@@ -13,7 +13,9 @@ import typer
 
 
 def study(
-    name: Annotated[str, typer.Argument(help="fov, ablation, iterations, basin, or a plugin's: see panobench list.")],
+    name: Annotated[
+        str, typer.Argument(help="fov, ablation, iterations, basin, robustness, or a plugin's: see panobench list.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder for its runs and its result, study.json.")],
     quick: Annotated[bool, typer.Option("--quick", help="A small version, under two minutes on two cores.")] = False,
     set: Annotated[

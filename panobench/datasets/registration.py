@@ -47,6 +47,13 @@ DATASETS: tuple[DatasetSpec, ...] = (
         camera="erp",
     ),
     DatasetSpec(
+        "disturbed",
+        "another dataset's sequence with noise, blur, swinging exposure, an occluder, black frames or yaw",
+        "panobench.datasets.disturbed:DisturbedDataset",
+        layout="--sequence DATASET/SEQUENCE:NAME=NUMBER, for example rooms/room1:noise=0.03:blur=2",
+        needs_root=False,
+    ),
+    DatasetSpec(
         "tum-vi",
         "fisheye camera, IMU and motion capture, handheld",
         "panobench.datasets.tum_vi:TumVi",

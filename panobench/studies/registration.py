@@ -23,4 +23,9 @@ STUDIES: tuple[StudySpec, ...] = (
         "the loss around a true pose, starts that converge, conditioning of the pose (the paper's basin figure)",
         "panobench.studies.basin:run",
     ),
+    StudySpec(
+        "robustness",
+        "tracking under noise, blur, swinging exposure, an occluder, black and skipped frames, and fast yaw",
+        "panobench.studies.robustness:run",
+    ),
 )

@@ -12,7 +12,7 @@ from panobench.bench.store import Stored
 from panobench.errors import UnknownNameError, UsageError
 from panobench.plugins import registry
 from panobench.specs import StudySpec
-from panobench.studies import ablation, cells, fov, iterations
+from panobench.studies import ablation, cells, fov, iterations, robustness
 from panobench.studies.base import StudyRequest, StudyResult
 
 Answer = dict[str, Any]
@@ -32,7 +32,7 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
             found[cell.identity] = Stored(Path(), {**document, **state["answer"](cell)})
         return found
 
-    for module in (fov, ablation, iterations):
+    for module in (fov, ablation, iterations, robustness):
         monkeypatch.setattr(module, "run_cells", run_cells)
     return state
 
@@ -135,7 +135,45 @@ def test_iterations_set_both_counts_and_give_speed(tmp_path: Path, answers: Any)
         iterations.run(study(tmp_path, counts="15-30"))
 
 
-@pytest.mark.parametrize("name", ["fov", "ablation", "iterations", "basin"])
+def test_robustness_disturbs_one_thing_at_a_time_and_shows_the_coverage_of_lost_runs(
+    tmp_path: Path, answers: Any
+) -> None:
+    def answer(cell: Cell) -> Answer:
+        if ":black" in (cell.request.sequence or ""):
+            return {"status": "lost", "message": "tracked 80%", "metrics": {"tracked": 0.8}}
+        if cell.request.every == 10:
+            return {"status": "crashed", "message": "fell over", "metrics": {}}
+        return {"metrics": {"ate_rmse_m": 0.002, "tracked": 1.0, "novel_psnr_db": 31.0}}
+
+    answers["answer"] = answer
+    result = robustness.run(study(tmp_path, sequences="room1,synpano/devroom", root="data"))
+    requests = [c.request for c in answers["cells"]]
+    assert {r.dataset for r in requests} == {"disturbed"}
+    assert len({c.identity for c in answers["cells"]}) == 2 * 2 * 10
+    assert {r.sequence for r in requests if r.every == 5} == {"rooms/room1", "synpano/devroom"}
+    noisy = row(result, "robustness", Method="sparse", Disturbance="Gaussian noise, sigma 0.03")
+    assert (noisy["room1 tracked [%] ↑"], noisy["room1 ATE [mm] ↓"]) == (100.0, pytest.approx(2.0))
+    assert noisy["synpano/devroom PSNR [dB] ↑"] == 31.0
+    black = row(result, "robustness", Method="panogs", Disturbance="20 black frames in the middle")
+    assert (black["room1 tracked [%] ↑"], black["room1 ATE [mm] ↓"]) == (pytest.approx(80.0), "/")
+    crashed = row(result, "robustness", Method="panogs", Disturbance="one frame in 10")
+    assert crashed["room1 tracked [%] ↑"] == "/"
+    assert sum("lost, tracked 80%" in note for note in result.notes) == 4
+
+
+def test_every_disturbance_of_the_robustness_study_is_one_there_is() -> None:
+    from panobench.datasets.disturb import Disturbances
+
+    for text in robustness.DISTURBANCES:
+        assert robustness.describe(text)
+        if text != "none" and not text.startswith("every="):
+            assert Disturbances.parse(text.split(":")).to_dict()
+    for wrong in ("noise", "nois=1", "noise=x"):
+        with pytest.raises(UsageError, match="NAME=NUMBER"):
+            robustness.describe(wrong)
+
+
+@pytest.mark.parametrize("name", ["fov", "ablation", "iterations", "basin", "robustness"])
 def test_studies_are_plugins_that_name_their_options(name: str, tmp_path: Path) -> None:
     run = registry().get(StudySpec, name).load()
     with pytest.raises(UnknownNameError, match="widht"):

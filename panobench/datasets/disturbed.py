@@ -1,0 +1,92 @@
+"""Any dataset's sequences with a disturbed stream, by name: ``rooms/room1:noise=0.03:blur=2``."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.disturb import BARE, Disturbances, Disturber
+from panobench.errors import UsageError
+from panobench.types import Imu, NovelView, Trajectory
+
+#: Raised when the same name gives other images.
+DISTURBANCE_VERSION = 1
+
+
+class DisturbedSequence(Sequence):
+    """``source`` with its images disturbed; truth is that of the turned camera, novel views stay as they are."""
+
+    def __init__(self, source: Sequence, chosen: Disturbances, name: str) -> None:
+        self.source = source
+        self.name, self.dataset, self.camera, self.times = name, "disturbed", source.camera, source.times
+        self._disturb = Disturber(chosen, source.camera, len(source))
+
+    def image(self, index: int) -> NDArray[np.uint8]:
+        return self._disturb(self.source.image(index), index)
+
+    def frame_name(self, index: int) -> str:
+        return self.source.frame_name(index)
+
+    def depth(self, index: int) -> NDArray[np.float32] | None:
+        """Of the scene, as if nothing were before the camera; nearest column when the camera is turned."""
+        depth = self.source.depth(index)
+        return None if depth is None else np.roll(depth, -round(self._disturb.shift(index)), axis=1)
+
+    @cached_property
+    def _groundtruth(self) -> Trajectory | None:
+        truth = self.source.groundtruth
+        if truth is None or not self._disturb.chosen.yaw:
+            return truth
+        index = np.searchsorted(self.times, truth.times)
+        turned = [T @ self._disturb.rotation(int(i)) for i, T in zip(index, truth.T_wc)]
+        return Trajectory(truth.times, np.stack(turned))
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        return self._groundtruth
+
+    @property
+    def imu(self) -> Imu | None:
+        """The source's; none when the camera is turned, for the body does not turn with it."""
+        return None if self._disturb.chosen.yaw else self.source.imu
+
+    def novel_views(self) -> list[NovelView]:
+        return self.source.novel_views()
+
+    def provenance(self) -> dict[str, Any]:
+        about = {"version": DISTURBANCE_VERSION, "seed": self._disturb.seed, **self._disturb.chosen.to_dict()}
+        return {**self.source.provenance(), "source": self.source.dataset, "disturbances": about}
+
+
+class DisturbedDataset(Dataset):
+    """Sequences of other datasets; ``root`` is handed to the one a name asks for, unless it needs none."""
+
+    name: ClassVar[str] = "disturbed"
+
+    def sequences(self) -> list[str]:
+        """Examples: each disturbance on one room. Any DATASET/SEQUENCE can stand before them, and several after it."""
+        return [f"rooms/room1:{name}" for name in BARE]
+
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> DisturbedSequence:
+        """Open [DATASET/]SEQUENCE[:DISTURBANCE[=NUMBER]]...; the dataset is ``rooms`` where none is named.
+
+        Raises UnknownNameError and UsageError for disturbances there are none of, and what the dataset raises.
+        """
+        from panobench.datasets.open import open_sequence
+        from panobench.plugins import registry
+        from panobench.specs import DatasetSpec
+
+        name = sequence or self.sequences()[0]
+        place, *texts = name.split(":")
+        dataset, slash, inner = place.partition("/")
+        if not slash:
+            dataset, inner = "rooms", place
+        if dataset == self.name:
+            raise UsageError(f"sequence '{name}': name a dataset that is not disturbed yet")
+        chosen = Disturbances.parse(texts)
+        root = self.root if registry().get(DatasetSpec, dataset).needs_root else None
+        return DisturbedSequence(open_sequence(dataset, inner or None, root, width), chosen, name)
