@@ -125,7 +125,7 @@ def test_timeout_kills_even_what_ignores_signals(tmp_path: Path) -> None:
     )
     result = supervise(tmp_path, code, timeout_s=1.0)
     assert result["end"] == "timeout"
-    assert 1.0 <= result["wall_s"] < 30
+    assert 1.0 <= result["wall_s"] < 100
 
 
 def test_memory_limit_counts_children(tmp_path: Path) -> None:

@@ -117,17 +117,18 @@ def test_a_bug_keeps_its_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ctrl_c_keeps_what_was_tracked(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "panobench.cli.main", *words("--out", str(tmp_path / "r"), method="fake-slow")]
     process = subprocess.Popen(
-        command, env={**os.environ, "FAKE_SLEEP": "0.5"}, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        command,
+        env={**os.environ, "FAKE_SLEEP": "1.5", "FAKE_PROGRESS": str(tmp_path / "frame")},
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
-    log = None
-    for _ in range(600):
-        log = next(tmp_path.glob(".r.*.part/log.txt"), None)
-        if log is not None and "still started" in log.read_text():
-            break
+    deadline = time.monotonic() + 300
+    while not (tmp_path / "frame").exists() and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
-    time.sleep(1.0)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=300)
+    (tmp_path / "frame").unlink()
     assert process.returncode == 130, err
     document = json.loads((tmp_path / "r" / "run.json").read_text())
     assert document["status"] == "interrupted"

@@ -182,7 +182,7 @@ def test_looking_around_turns_the_view_and_difference_is_dark_where_equal(opened
 def test_phone_width_has_no_sideways_scrolling(opened):
     opened.resize(390, 844, mobile=True)
     try:
-        opened.wait("document.documentElement.scrollWidth <= 390", timeout=10)
+        opened.wait("document.documentElement.scrollWidth <= 390")
     finally:
         opened.resize(800, 700)
 
