@@ -32,8 +32,9 @@ class PanogsConfig:
     insert_opacity: float = 0.5
     insert_error: float = 0.12
     sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
-    sweep_share: float = 0.01  # of the image that must be new for a sweep
+    sweep_share: float = 0.005  # of the image that must be new for a sweep
     delay: int = 12  # frames looked back: the length of the smoothed window, and what a newly seen region waits
+    stride: int = 4  # frames from one look back to the next where little is new
     smooth: bool = True  # refine the poses of the last frames jointly with depth, behind the tracker
     sweep_confidence: float = 0.4
     carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong

@@ -19,7 +19,7 @@ from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
 from panobench.methods.panogs.recent import RecentFrame, RecentFrames
-from panobench.methods.panogs.smoothing import Smoother
+from panobench.methods.panogs.smoothing import CAREFUL, QUICK, Smoother
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
 from panobench.splat.render import Renderer
@@ -174,9 +174,9 @@ class PanogsMethod(OnlineMethod):
         return True
 
     def _look_back(self, depth: float) -> None:
-        """Where a frame some way back saw much that was new: refine the poses since, and give the new its Gaussians.
+        """With the frames since: refine poses, and give Gaussians to what a frame some way back was the first to see.
 
-        Elsewhere the map has the last word: frames aligned to one map do not drift. ``depth``: the scene's, now.
+        ``depth``: the scene's, now.
         """
         m, c, back = self.mapper, self.config, self.recent.split(self.config.delay)
         if back is None or not (c.smooth or c.sweep):
@@ -184,16 +184,18 @@ class PanogsMethod(OnlineMethod):
         target, others = back
         view = View(target.index, target.image, self._pose(target.index))
         render = m.renderer.forward(m.map, view.T_wc, sloped=True)
-        if float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) <= c.sweep_share:
-            self.smoother.keep(others)
-            return
-        swept = self._sweep(view, back, depth)
         mapped = render.expected_depth(0.5)
+        grow = float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) > c.sweep_share
+        if not grow and (self.recent.fresh < c.stride or not c.smooth):
+            return
+        self.recent.fresh = 0
+        swept = self._sweep(view, back, depth)
         if swept is not None and c.smooth:
             scale = self.new_depth.map_over_swept(swept, mapped)
-            self._move(self.smoother.refine(target, others, self._pose, swept.depth, scale))
-            swept = self._sweep(view, back, depth)
-        if swept is not None and c.sweep:
+            options = CAREFUL if grow else QUICK
+            self._move(self.smoother.refine(target, others, self._pose, swept.depth, scale, options))
+            swept = self._sweep(view, back, depth) if grow else None
+        if swept is not None and grow and c.sweep:
             disproved = self.new_depth.disproved(swept, mapped)
             m.insert(view, render, self.new_depth.full_size(swept, c.sweep_confidence), disproved)
 
