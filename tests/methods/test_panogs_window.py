@@ -13,7 +13,7 @@ from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
 from panobench.methods.panogs.recent import RecentFrame, RecentFrames
-from panobench.methods.panogs.smoothing import CAREFUL, Smoother
+from panobench.methods.panogs.smoothing import Smoother
 from panobench.methods.panogs.views import View
 from panobench.photometric.pyramid import luma_of_frame, pyramid
 from panobench.splat.gaussians import GaussianMap
@@ -64,7 +64,7 @@ def test_short_poses_get_the_scale_of_the_depth() -> None:
     short = shortened(exact, 0.96)
     depth = room().depth(0)
     assert depth is not None
-    refined = Smoother(recent.fine).refine(target, list(others), lambda i: short[i], depth, 1.0, CAREFUL)
+    refined = Smoother(recent.fine).refine(target, list(others), lambda i: short[i], depth, 1.0)
     ratio = lengths(refined) / lengths(dict(enumerate(exact)))
     assert np.all(np.abs(ratio - 1) < 0.012)
 
@@ -77,7 +77,7 @@ def test_settled_frames_carry_the_scale_to_the_next_window() -> None:
     assert depth is not None
     smoother = Smoother(recent.fine)
     smoother.keep(list(others[:8]))
-    refined = smoother.refine(target, list(others), lambda i: mixed[i], 0.9 * depth, 3.0, CAREFUL)
+    refined = smoother.refine(target, list(others), lambda i: mixed[i], 0.9 * depth, 3.0)
     ratio = lengths(refined) / lengths(dict(enumerate(exact)))
     assert np.all(np.abs(ratio - 1) < 0.015)
 

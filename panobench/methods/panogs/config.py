@@ -34,7 +34,6 @@ class PanogsConfig:
     sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
     sweep_share: float = 0.005  # of the image that must be new for a sweep
     delay: int = 12  # frames looked back: the length of the smoothed window, and what a newly seen region waits
-    stride: int = 4  # frames from one look back to the next where little is new
     smooth: bool = True  # refine the poses of the last frames jointly with depth, behind the tracker
     sweep_confidence: float = 0.4
     carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong
@@ -43,11 +42,11 @@ class PanogsConfig:
     scale_factor: float = 0.55
     initial_opacity: float = 0.9
     # Mapping
-    mapping_iterations: int = 15
+    mapping_iterations: int = 12
     initial_iterations: int = 40
     random_views: int = 2
     random_from: Literal["frames", "keyframes"] = "frames"
-    frame_pool: int = 300  # frames that are no keyframes kept for mapping
+    frame_pool: int = 300  # frames outside the window whose images are kept for mapping
     refine_poses: bool = True
     pose_rate_rotation: float = 2e-4
     pose_rate_translation_rel: float = 2e-4

@@ -125,14 +125,20 @@ class Mapper:
         return len(new)
 
     def add_keyframe(self, view: View, window: list[View]) -> None:
+        """``window`` is the new one; keyframes that leave it are kept like other frames."""
+        for old in self.window:
+            if old not in window:
+                old.touched = None
+                self.remember(old)
         self.keyframes.append(view)
         self.window = window
 
     def remember(self, view: View) -> None:
-        """Keep a frame that is no keyframe for mapping; beyond ``frame_pool`` of them a random one makes room."""
+        """Keep a frame for mapping; beyond ``frame_pool`` a random one loses its image: memory is bounded."""
         self.frames.append(view)
         if len(self.frames) > self.config.frame_pool:
-            del self.frames[int(self.rng.integers(len(self.frames)))]
+            gone = self.frames.pop(int(self.rng.integers(len(self.frames))))
+            gone.image = gone.image[:0].copy()
 
     # -- optimising ----------------------------------------------------------------------------------------------
 
@@ -146,7 +152,7 @@ class Mapper:
 
     def _schedule(self, iterations: int) -> list[View]:
         pool = self.frames if self.config.random_from == "frames" and self.frames else self.keyframes
-        others = [v for v in pool if v not in self.window]
+        others = [v for v in pool if v not in self.window and v.image.size]
         out: list[View] = []
         while len(out) < iterations and self.window:
             round_ = [self.window[0]]

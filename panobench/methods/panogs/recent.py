@@ -30,14 +30,13 @@ class RecentFrame:
 
 
 class RecentFrames:
-    """A ring of at most ``size`` frames, oldest first. fresh: how many came since it was last set to zero."""
+    """A ring of at most ``size`` frames, oldest first."""
 
     def __init__(self, camera: Camera, size: int) -> None:
         self.scale = WorkingScale.of(camera, SWEEP_WIDTH)
         self.fine = WorkingScale.of(camera, FINE_WIDTH)
         self._frames: deque[RecentFrame] = deque(maxlen=size)
         self._last = np.full(3, np.inf)
-        self.fresh = 0
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -52,7 +51,6 @@ class RecentFrames:
         if luma.shape != self.scale.valid.shape:
             return
         self._last = position
-        self.fresh += 1
         self._frames.append(RecentFrame(index, image, luma, fine))
 
     def split(self, delay: int) -> tuple[RecentFrame, list[RecentFrame]] | None:

@@ -20,8 +20,8 @@ from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import WorkingScale, resize_panorama
 
 Pose = NDArray[np.float64]
-#: Where much is new and the map can't hold the poses, and elsewhere.
-CAREFUL, QUICK = BundleOptions(), BundleOptions(cell_px=4, iterations=8)
+#: More iterations change little (docs/panogs-lab.md).
+OPTIONS = BundleOptions(iterations=10)
 #: Frames two windows must share for the scale to pass from one to the other.
 SHARED_MIN = 4
 #: A frame counts for the scale if it is at least this share of the window's length away.
@@ -44,7 +44,6 @@ class Smoother:
         pose: Callable[[int], Pose],
         depth: F32,
         first_stretch: float,
-        options: BundleOptions,
     ) -> dict[int, Pose]:
         """New T_wc of ``others`` by frame number; that of ``target`` stays.
 
@@ -58,7 +57,7 @@ class Smoother:
         s = self.scale
         known = resize_panorama(depth, s.valid.shape, s.camera.kind == "erp")
         known = np.where(s.valid & np.isfinite(known), known, 0).astype(np.float32)
-        after, cost = refine(target.fine, s.rays, known, images, before, s.code, s.cam, options)
+        after, cost = refine(target.fine, s.rays, known, images, before, s.code, s.cam, OPTIONS)
         if not np.isfinite(cost):
             return {}
         lengths = np.linalg.norm(before[:, :3, 3], axis=1), np.linalg.norm(after[:, :3, 3], axis=1)

@@ -19,7 +19,7 @@ from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
 from panobench.methods.panogs.recent import RecentFrame, RecentFrames
-from panobench.methods.panogs.smoothing import CAREFUL, QUICK, Smoother
+from panobench.methods.panogs.smoothing import Smoother
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
 from panobench.splat.render import Renderer
@@ -174,9 +174,9 @@ class PanogsMethod(OnlineMethod):
         return True
 
     def _look_back(self, depth: float) -> None:
-        """With the frames since: refine poses, and give Gaussians to what a frame some way back was the first to see.
+        """Where a frame some way back saw things new: refine the poses since, and give the new its Gaussians.
 
-        ``depth``: the scene's, now.
+        Elsewhere the map has the last word: frames aligned to one map do not drift. ``depth``: the scene's, now.
         """
         m, c, back = self.mapper, self.config, self.recent.split(self.config.delay)
         if back is None or not (c.smooth or c.sweep):
@@ -185,17 +185,15 @@ class PanogsMethod(OnlineMethod):
         view = View(target.index, target.image, self._pose(target.index))
         render = m.renderer.forward(m.map, view.T_wc, sloped=True)
         mapped = render.expected_depth(0.5)
-        grow = float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) > c.sweep_share
-        if not grow and (self.recent.fresh < c.stride or not c.smooth):
+        if float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) <= c.sweep_share:
+            self.smoother.keep(others)
             return
-        self.recent.fresh = 0
         swept = self._sweep(view, back, depth)
         if swept is not None and c.smooth:
             scale = self.new_depth.map_over_swept(swept, mapped)
-            options = CAREFUL if grow else QUICK
-            self._move(self.smoother.refine(target, others, self._pose, swept.depth, scale, options))
-            swept = self._sweep(view, back, depth) if grow else None
-        if swept is not None and grow and c.sweep:
+            self._move(self.smoother.refine(target, others, self._pose, swept.depth, scale))
+            swept = self._sweep(view, back, depth)
+        if swept is not None and c.sweep:
             disproved = self.new_depth.disproved(swept, mapped)
             m.insert(view, render, self.new_depth.full_size(swept, c.sweep_confidence), disproved)
 
@@ -222,7 +220,7 @@ class PanogsMethod(OnlineMethod):
             if estimate is not None:
                 self._initialise(estimate)
         if self.config.final_iterations and self.mapper.keyframes:
-            self.mapper.window = list(self.mapper.keyframes)
+            self.mapper.window = [v for v in self.mapper.keyframes if v.image.size]
             self.mapper.optimise(self.config.final_iterations, poses=False)
         indices = sorted(self.records)
         records = [self.records[i] for i in indices]
