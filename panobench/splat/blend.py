@@ -170,7 +170,7 @@ def blend_forward(  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT_FINITE)
-def _backward_span(p, p1z, p2z, buf, lo, n, out):  # type: ignore[no-untyped-def]
+def _backward_span(p, p1z, p2z, buf, lo, n, out, th, k):  # type: ignore[no-untyped-def]
     p1x, p1y = p[0], p[1]
     p2x, p2y = p[3], p[4]
     mx, my, mz, o = p[6], p[7], p[8], p[9]
@@ -217,29 +217,29 @@ def _backward_span(p, p1z, p2z, buf, lo, n, out):  # type: ignore[no-untyped-def
         gg += w * dg
         gb += w * db
         gd += w * dd
-    out[0] += s0
-    out[1] += s1
-    out[2] += s2
-    out[3] += s11
-    out[4] += s12
-    out[5] += s22
-    out[6] += s31
-    out[7] += s32
-    out[8] += gr
-    out[9] += gg
-    out[10] += gb
-    out[11] += gd
+    out[th, k, 0] += s0
+    out[th, k, 1] += s1
+    out[th, k, 2] += s2
+    out[th, k, 3] += s11
+    out[th, k, 4] += s12
+    out[th, k, 5] += s22
+    out[th, k, 6] += s31
+    out[th, k, 7] += s32
+    out[th, k, 8] += gr
+    out[th, k, 9] += gg
+    out[th, k, 10] += gb
+    out[th, k, 11] += gd
 
 
 @njit(**PARALLEL)
 def blend_backward(  # type: ignore[no-untyped-def]
-    packed, rows, starts, entries, rays, wrap, tiles, threads, colour, depth, opacity, done, d_colour, d_depth,
+    packed, rows, order, starts, entries, rays, wrap, tiles, threads, colour, depth, opacity, done, d_colour, d_depth,
     d_opacity, moments,
 ):  # fmt: skip
-    """Gradients of the listed tiles, as moment sums per instance.
+    """Gradients of the listed tiles, as moment sums per Gaussian: instance k is Gaussian order[k].
 
     d_colour (3, H, W), d_depth (H, W), d_opacity (H, W): dL/d(output); the two last may be (0, 0). The others as
-    ``blend_forward`` left them. With g = dL/d(exponent) per pixel, moments (threads, M, MOMENTS) receives sums of
+    ``blend_forward`` left them. With g = dL/d(exponent) per pixel, moments (threads, N, MOMENTS) receives sums of
     g (1, t1, t2, t1 t1, t1 t2, t2 t2, |t|^2 t1, |t|^2 t2), then dL/d(colour) (3) and dL/d(dist).
     Light from behind an instance is what is left of the composited total after subtracting what lies in front, so
     nothing is divided by a vanishing transmittance.
@@ -280,7 +280,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
                     shift = _wrap_shift(p[15], x0, wrap)
                     p1z, p2z = p[2] - p[0] * shift, p[5] - p[3] * shift
                     lo, n = np.uint64(r0 * TILE_W), np.uint64((r1 - r0) * TILE_W)
-                    _backward_span(p, p1z, p2z, buf, lo, n, moments[th, k])
+                    _backward_span(p, p1z, p2z, buf, lo, n, moments, th, order[k])
 
 
 def new_moments(threads: int, instances: int) -> np.ndarray:

@@ -152,72 +152,88 @@ def _quaternion_gradient(q, G):  # type: ignore[no-untyped-def]
     return (gw - radial * w) * scale, (gx - radial * x) * scale, (gy - radial * y) * scale, (gz - radial * z) * scale
 
 
+@njit(inline="always", **JIT)
+def gaussian_gradient(  # type: ignore[no-untyped-def]
+    M, k, means, log_scales, quats, logits, R_cw, t_cw, code, intr, low_pass, low, out, row, tau
+):
+    """Gaussian k: its moment sums M -> out[row, row] (PARAMETERS,); its share of the pose gradient joins tau (6,)."""
+    mx, my, mz = rotate(R_cw, float(means[k, 0]), float(means[k, 1]), float(means[k, 2]))
+    mu = (mx + t_cw[0], my + t_cw[1], mz + t_cw[2])
+    dist = np.sqrt(dot(mu, mu))
+    axes = axes_in_camera(quats, log_scales, k, R_cw)
+    C = camera_covariance(axes)
+    if code == SPHERE:
+        gC, gmu = _sphere_gradients(mu, C, M, dist, low)
+    else:
+        gC, gmu = _conic_gradients(mu, C, M, code, intr, low_pass)
+    f = M[11] / dist
+    gmu = (gmu[0] + f * mu[0], gmu[1] + f * mu[1], gmu[2] + f * mu[2])
+    # The pose moves mu_c and Sigma_c rigidly: dSigma = [w] Sigma - Sigma [w], A = Sigma dL/dSigma.
+    r0, r1, r2 = (C[0], C[1], C[2]), (C[1], C[3], C[4]), (C[2], C[4], C[5])
+    A0, A1, A2 = symmetric_times(gC, r0), symmetric_times(gC, r1), symmetric_times(gC, r2)
+    tau[0] += gmu[0]
+    tau[1] += gmu[1]
+    tau[2] += gmu[2]
+    tau[3] += mu[1] * gmu[2] - mu[2] * gmu[1] + 2.0 * (A1[2] - A2[1])
+    tau[4] += mu[2] * gmu[0] - mu[0] * gmu[2] + 2.0 * (A2[0] - A0[2])
+    tau[5] += mu[0] * gmu[1] - mu[1] * gmu[0] + 2.0 * (A0[1] - A1[0])
+    for i in range(3):
+        out[row, i] = R_cw[0, i] * gmu[0] + R_cw[1, i] * gmu[1] + R_cw[2, i] * gmu[2]
+    # Sigma = sum_q s_q^2 a_q a_q^T: dL/d(log s_q) = 2 s_q^2 a_q.(gC a_q), dL/da_q = 2 s_q^2 gC a_q.
+    a0, a1, a2, s = axes
+    v0, v1, v2 = 2.0 * s[0] * s[0], 2.0 * s[1] * s[1], 2.0 * s[2] * s[2]
+    b0, b1, b2 = symmetric_times(gC, a0), symmetric_times(gC, a1), symmetric_times(gC, a2)
+    out[row, 3], out[row, 4], out[row, 5] = v0 * dot(a0, b0), v1 * dot(a1, b1), v2 * dot(a2, b2)
+    G = (
+        v0 * (R_cw[0, 0] * b0[0] + R_cw[1, 0] * b0[1] + R_cw[2, 0] * b0[2]),
+        v1 * (R_cw[0, 0] * b1[0] + R_cw[1, 0] * b1[1] + R_cw[2, 0] * b1[2]),
+        v2 * (R_cw[0, 0] * b2[0] + R_cw[1, 0] * b2[1] + R_cw[2, 0] * b2[2]),
+        v0 * (R_cw[0, 1] * b0[0] + R_cw[1, 1] * b0[1] + R_cw[2, 1] * b0[2]),
+        v1 * (R_cw[0, 1] * b1[0] + R_cw[1, 1] * b1[1] + R_cw[2, 1] * b1[2]),
+        v2 * (R_cw[0, 1] * b2[0] + R_cw[1, 1] * b2[1] + R_cw[2, 1] * b2[2]),
+        v0 * (R_cw[0, 2] * b0[0] + R_cw[1, 2] * b0[1] + R_cw[2, 2] * b0[2]),
+        v1 * (R_cw[0, 2] * b1[0] + R_cw[1, 2] * b1[1] + R_cw[2, 2] * b1[2]),
+        v2 * (R_cw[0, 2] * b2[0] + R_cw[1, 2] * b2[1] + R_cw[2, 2] * b2[2]),
+    )
+    out[row, 6], out[row, 7], out[row, 8], out[row, 9] = _quaternion_gradient(
+        (quats[k, 0], quats[k, 1], quats[k, 2], quats[k, 3]), G
+    )
+    o = 1.0 / (1.0 + np.exp(-float(logits[k])))
+    out[row, 10] = M[0] * (1.0 - o)
+    for c in range(3):
+        out[row, 11 + c] = M[8 + c]
+
+
+@njit(inline="always", **JIT)
+def sum_moments(moments, k, M):  # type: ignore[no-untyped-def]
+    """Moments of Gaussian k summed over threads into M (MOMENTS,); False if nothing reached it."""
+    size = 0.0
+    for i in range(MOMENTS):
+        m = 0.0
+        for t in range(moments.shape[0]):
+            m += moments[t, k, i]
+        M[i] = m
+        size += abs(m)
+    return size != 0.0
+
+
 @njit(**PARALLEL)
 def parameter_gradients(  # type: ignore[no-untyped-def]
-    order, moments, means, log_scales, quats, logits, R_cw, t_cw, code, intr, pixel_angle, low_pass, grads, pose
+    moments, means, log_scales, quats, logits, R_cw, t_cw, code, intr, pixel_angle, low_pass, grads, pose
 ):
-    """Chain rule for the visible Gaussians ``order`` (M,): writes grads (N, PARAMETERS) rows and pose (threads, 6).
+    """Chain rule for moments (threads, N, MOMENTS): writes grads (N, PARAMETERS) and pose (threads, 6).
 
     pose is dL/dtau for mu_c <- exp(tau) mu_c, tau = (translation, rotation), summed per thread.
     """
-    threads = moments.shape[0]
+    threads, n = moments.shape[0], means.shape[0]
+    share = (n + threads - 1) // threads
     low = low_pass * pixel_angle * pixel_angle
     for th in prange(threads):
-        M = np.empty(MOMENTS)
-        tau = np.zeros(6)
-        for j in range(th, len(order), threads):
-            k = order[j]
-            size = 0.0
-            for i in range(MOMENTS):
-                M[i] = 0.0
-                for t in range(threads):
-                    M[i] += moments[t, j, i]
-                size += abs(M[i])
-            if size == 0.0:
-                continue
-            out = grads[k]
-            mx, my, mz = rotate(R_cw, float(means[k, 0]), float(means[k, 1]), float(means[k, 2]))
-            mu = (mx + t_cw[0], my + t_cw[1], mz + t_cw[2])
-            dist = np.sqrt(dot(mu, mu))
-            axes = axes_in_camera(quats[k], log_scales[k], R_cw)
-            C = camera_covariance(axes)
-            if code == SPHERE:
-                gC, gmu = _sphere_gradients(mu, C, M, dist, low)
-            else:
-                gC, gmu = _conic_gradients(mu, C, M, code, intr, low_pass)
-            f = M[11] / dist
-            gmu = (gmu[0] + f * mu[0], gmu[1] + f * mu[1], gmu[2] + f * mu[2])
-            # The pose moves mu_c and Sigma_c rigidly: dSigma = [w] Sigma - Sigma [w], A = Sigma dL/dSigma.
-            r0, r1, r2 = (C[0], C[1], C[2]), (C[1], C[3], C[4]), (C[2], C[4], C[5])
-            A0, A1, A2 = symmetric_times(gC, r0), symmetric_times(gC, r1), symmetric_times(gC, r2)
-            tau[0] += gmu[0]
-            tau[1] += gmu[1]
-            tau[2] += gmu[2]
-            tau[3] += mu[1] * gmu[2] - mu[2] * gmu[1] + 2.0 * (A1[2] - A2[1])
-            tau[4] += mu[2] * gmu[0] - mu[0] * gmu[2] + 2.0 * (A2[0] - A0[2])
-            tau[5] += mu[0] * gmu[1] - mu[1] * gmu[0] + 2.0 * (A0[1] - A1[0])
-            for i in range(3):
-                out[i] = R_cw[0, i] * gmu[0] + R_cw[1, i] * gmu[1] + R_cw[2, i] * gmu[2]
-            # Sigma = sum_q s_q^2 a_q a_q^T: dL/d(log s_q) = 2 s_q^2 a_q.(gC a_q), dL/da_q = 2 s_q^2 gC a_q.
-            a0, a1, a2, s = axes
-            v0, v1, v2 = 2.0 * s[0] * s[0], 2.0 * s[1] * s[1], 2.0 * s[2] * s[2]
-            b0, b1, b2 = symmetric_times(gC, a0), symmetric_times(gC, a1), symmetric_times(gC, a2)
-            out[3], out[4], out[5] = v0 * dot(a0, b0), v1 * dot(a1, b1), v2 * dot(a2, b2)
-            G = (
-                v0 * (R_cw[0, 0] * b0[0] + R_cw[1, 0] * b0[1] + R_cw[2, 0] * b0[2]),
-                v1 * (R_cw[0, 0] * b1[0] + R_cw[1, 0] * b1[1] + R_cw[2, 0] * b1[2]),
-                v2 * (R_cw[0, 0] * b2[0] + R_cw[1, 0] * b2[1] + R_cw[2, 0] * b2[2]),
-                v0 * (R_cw[0, 1] * b0[0] + R_cw[1, 1] * b0[1] + R_cw[2, 1] * b0[2]),
-                v1 * (R_cw[0, 1] * b1[0] + R_cw[1, 1] * b1[1] + R_cw[2, 1] * b1[2]),
-                v2 * (R_cw[0, 1] * b2[0] + R_cw[1, 1] * b2[1] + R_cw[2, 1] * b2[2]),
-                v0 * (R_cw[0, 2] * b0[0] + R_cw[1, 2] * b0[1] + R_cw[2, 2] * b0[2]),
-                v1 * (R_cw[0, 2] * b1[0] + R_cw[1, 2] * b1[1] + R_cw[2, 2] * b1[2]),
-                v2 * (R_cw[0, 2] * b2[0] + R_cw[1, 2] * b2[1] + R_cw[2, 2] * b2[2]),
-            )
-            out[6], out[7], out[8], out[9] = _quaternion_gradient(quats[k], G)
-            o = 1.0 / (1.0 + np.exp(-float(logits[k])))
-            out[10] = M[0] * (1.0 - o)
-            for c in range(3):
-                out[11 + c] = M[8 + c]
+        M, tau = np.empty(MOMENTS), np.zeros(6)
+        for k in range(th * share, min((th + 1) * share, n)):
+            if sum_moments(moments, k, M):
+                gaussian_gradient(
+                    M, k, means, log_scales, quats, logits, R_cw, t_cw, code, intr, low_pass, low, grads, k, tau
+                )
         for i in range(6):
             pose[th, i] = tau[i]

@@ -24,7 +24,7 @@ JIT_FINITE: dict[str, Any] = {**JIT, "fastmath": True}
 
 #: Tile size in pixels: one tile row is one AVX-512 or two AVX2 registers.
 TILE_W = 16
-TILE_H = 8
+TILE_H = 16
 
 #: Columns of the packed instance array, see ``project``.
 PACK = 20

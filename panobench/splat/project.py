@@ -48,12 +48,15 @@ def rotate(R, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def axes_in_camera(q, log_scale, R_cw):  # type: ignore[no-untyped-def]
-    """The Gaussian's three unit axes in the camera frame (tuples) and their standard deviations."""
-    R, _ = rotation(q)
-    s0 = np.exp(min(max(float(log_scale[0]), -20.0), 8.0))
-    s1 = np.exp(min(max(float(log_scale[1]), -20.0), 8.0))
-    s2 = np.exp(min(max(float(log_scale[2]), -20.0), 8.0))
+def axes_in_camera(quats, log_scales, k, R_cw):  # type: ignore[no-untyped-def]
+    """Gaussian k's three unit axes in the camera frame (tuples) and their standard deviations.
+
+    Whole arrays and an index, not rows: a row would be a view, and counting references to it costs more than this.
+    """
+    R, _ = rotation((quats[k, 0], quats[k, 1], quats[k, 2], quats[k, 3]))
+    s0 = np.exp(min(max(float(log_scales[k, 0]), -20.0), 8.0))
+    s1 = np.exp(min(max(float(log_scales[k, 1]), -20.0), 8.0))
+    s2 = np.exp(min(max(float(log_scales[k, 2]), -20.0), 8.0))
     return (
         rotate(R_cw, R[0], R[3], R[6]),
         rotate(R_cw, R[1], R[4], R[7]),
@@ -218,9 +221,8 @@ def project(  # type: ignore[no-untyped-def]
         if not o > ALPHA_MIN:
             continue
         q_cut = 2.0 * np.log(o / ALPHA_MIN)
-        C = camera_covariance(axes_in_camera(quats[k], log_scales[k], R_cw))
-        p = packed[k]
-        p[18], p[19] = 0.0, 0.0
+        C = camera_covariance(axes_in_camera(quats, log_scales, k, R_cw))
+        packed[k, 18], packed[k, 19] = 0.0, 0.0
         if code == SPHERE:
             m = (mu[0] / dist, mu[1] / dist, mu[2] / dist)
             e, s = tangent_basis(m)
@@ -229,17 +231,17 @@ def project(  # type: ignore[no-untyped-def]
             S00, S01, S11 = dot(e, Ce) * inv2 + low, dot(s, Ce) * inv2, dot(s, Cs) * inv2 + low
             w00, w01, w11 = whiten(S00, S01, S11)
             for i in range(3):
-                p[i] = w00 * e[i] + w01 * s[i]
-                p[3 + i] = w11 * s[i]
-                p[6 + i] = m[i]
+                packed[k, i] = w00 * e[i] + w01 * s[i]
+                packed[k, 3 + i] = w11 * s[i]
+                packed[k, 6 + i] = m[i]
             if sloped:
                 ce, cs = dot(m, Ce) / dist, dot(m, Cs) / dist
-                p[18], p[19] = w00 * ce + w01 * cs, w11 * cs
+                packed[k, 18], packed[k, 19] = w00 * ce + w01 * cs, w11 * cs
             spread = 0.5 * (S00 + S11) + np.sqrt(max(0.25 * (S00 - S11) ** 2 + S01 * S01, 0.0))
             offset = min(np.sqrt(q_cut * spread), OFFSET_MAX)
             reach = _atan2_bound(offset, 1.0)
-            p[16] = 1.0 / np.sqrt(1.0 + offset * offset)
-            p[15], p[17] = 0.0, offset * p[16]
+            packed[k, 16] = 1.0 / np.sqrt(1.0 + offset * offset)
+            packed[k, 15], packed[k, 17] = 0.0, offset * packed[k, 16]
             if bound == BOUND_LATLON:
                 south, north, half = latlon_extent(m, np.sqrt(q_cut * S00), np.sqrt(q_cut * S11), reach)
                 rows[k, 0] = max(int(np.ceil(H * (0.5 - north / np.pi) - 0.5 - 1e-3)), 0)
@@ -261,20 +263,20 @@ def project(  # type: ignore[no-untyped-def]
                         cols[k, 0], cols[k, 1] = flat_extent(m, e, s, Q00, Q01, Q11, A22, 0, intr[2], intr[4], W)
                         rows[k, 0], rows[k, 1] = flat_extent(m, e, s, Q00, Q01, Q11, A22, 1, intr[3], intr[5], H)
                     else:
-                        cols[k, 0], cols[k, 1] = side_extent(m, reach, p[17], 0, intr[2], intr[4], W)
-                        rows[k, 0], rows[k, 1] = side_extent(m, reach, p[17], 1, intr[3], intr[5], H)
+                        cols[k, 0], cols[k, 1] = side_extent(m, reach, packed[k, 17], 0, intr[2], intr[4], W)
+                        rows[k, 0], rows[k, 1] = side_extent(m, reach, packed[k, 17], 1, intr[3], intr[5], H)
         else:
             u, v, J0, J1, _, _ = first_order(mu, code, intr)
             C0, C1 = symmetric_times(C, J0), symmetric_times(C, J1)
             S00, S01, S11 = dot(J0, C0) + low_pass, dot(J0, C1), dot(J1, C1) + low_pass
             w00, w01, w11 = whiten(S00, S01, S11)
-            p[0], p[1], p[2] = w00, w01, -(w00 * u + w01 * v)
-            p[3], p[4], p[5] = 0.0, w11, -w11 * v
-            p[6], p[7], p[8] = 0.0, 0.0, 1.0
-            p[15], p[16], p[17] = u, 0.0, 1.0
+            packed[k, 0], packed[k, 1], packed[k, 2] = w00, w01, -(w00 * u + w01 * v)
+            packed[k, 3], packed[k, 4], packed[k, 5] = 0.0, w11, -w11 * v
+            packed[k, 6], packed[k, 7], packed[k, 8] = 0.0, 0.0, 1.0
+            packed[k, 15], packed[k, 16], packed[k, 17] = u, 0.0, 1.0
             if sloped:
                 c0, c1 = dot(mu, C0) / dist, dot(mu, C1) / dist
-                p[18], p[19] = w00 * c0 + w01 * c1, w11 * c1
+                packed[k, 18], packed[k, 19] = w00 * c0 + w01 * c1, w11 * c1
             ru, rv = np.sqrt(q_cut * S00) + 1e-3, np.sqrt(q_cut * S11) + 1e-3
             rows[k, 0] = max(int(np.ceil(max(v - rv, -1.0) - 0.5)), 0)
             rows[k, 1] = min(int(np.floor(min(v + rv, H + 1.0) - 0.5)), int(H) - 1)
@@ -286,9 +288,9 @@ def project(  # type: ignore[no-untyped-def]
                 cols[k, 1] = min(int(np.floor(min(u + ru, W + 1.0) - 0.5)), int(W) - 1)
         if rows[k, 1] < rows[k, 0] or cols[k, 1] < cols[k, 0]:
             continue
-        p[9], p[13], p[14] = o, dist, q_cut
+        packed[k, 9], packed[k, 13], packed[k, 14] = o, dist, q_cut
         for c in range(3):
-            p[10 + c] = colours[k, c]
+            packed[k, 10 + c] = colours[k, c]
         key[k] = np.float32(dist)
 
 

@@ -17,7 +17,7 @@ from panobench.geometry import invert_pose
 from panobench.splat import blend, chain, project
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.kernel_options import MOMENTS, PACK, TILE_H, TILE_W
-from panobench.splat.view import CONIC_ERP, Projection, make_view
+from panobench.splat.view import CONIC_ERP, Projection, View, make_view
 
 _NO_2D = np.zeros((0, 0), np.float32)
 
@@ -76,6 +76,17 @@ class Gradients:
     @property
     def colours(self) -> F32:
         return self.packed[:, 11:14]
+
+
+@dataclass
+class Backward:
+    """What the chain rule needs: the Gaussians, their camera, and moments (threads, N, MOMENTS)."""
+
+    gaussians: GaussianMap
+    R_cw: NDArray[np.float64]
+    t_cw: NDArray[np.float64]
+    view: View
+    moments: F32
 
 
 @dataclass
@@ -182,18 +193,27 @@ class Renderer:
         if d_depth is not None and s.sloped:
             raise ValueError("sloped depth has no gradient: render without sloped=True to differentiate depth")
         dc = np.ascontiguousarray(d_colour if planar else np.moveaxis(d_colour, -1, 0), dtype=np.float32)
-        dd = _NO_2D if d_depth is None else np.ascontiguousarray(d_depth, dtype=np.float32)
-        do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
-        moments = np.zeros((self.threads, len(s.out.order), MOMENTS), np.float32)
-        blend.blend_backward(
-            s.packed, s.rows, s.starts, s.entries, v.rays, self._wrap, s.tiles, self.threads,
-            s.out.planes, s.out.depth, s.out.opacity, s.done, dc, dd, do, moments,
-        )  # fmt: skip
-        g = s.gaussians
+        back = self.moments(dc, d_depth, d_opacity)
+        g = back.gaussians
         packed = np.zeros((len(g), chain.PARAMETERS), np.float32)
         pose = np.zeros((self.threads, 6))
         chain.parameter_gradients(
-            s.out.order, moments, g.means, g.log_scales, g.quats, g.opacity_logits,
-            s.R_cw, s.t_cw, v.projection, v.intrinsics, v.pixel_angle, self.low_pass, packed, pose,
+            back.moments, g.means, g.log_scales, g.quats, g.opacity_logits,
+            back.R_cw, back.t_cw, v.projection, v.intrinsics, v.pixel_angle, self.low_pass, packed, pose,
         )  # fmt: skip
         return Gradients(packed, pose.sum(axis=0))
+
+    def moments(self, d_planes: F32, d_depth: F32 | None = None, d_opacity: F32 | None = None) -> Backward:
+        """The pixels' half of the backward pass: dL/d(planes) (3, H, W) -> moment sums per Gaussian."""
+        s, v = self._scene, self.view
+        if s is None:
+            raise RuntimeError("a backward pass needs a forward() first")
+        dc = np.ascontiguousarray(d_planes, dtype=np.float32)
+        dd = _NO_2D if d_depth is None else np.ascontiguousarray(d_depth, dtype=np.float32)
+        do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
+        moments = np.zeros((self.threads, len(s.gaussians), MOMENTS), np.float32)
+        blend.blend_backward(
+            s.packed, s.rows, s.out.order, s.starts, s.entries, v.rays, self._wrap, s.tiles, self.threads,
+            s.out.planes, s.out.depth, s.out.opacity, s.done, dc, dd, do, moments,
+        )  # fmt: skip
+        return Backward(s.gaussians, s.R_cw, s.t_cw, v, moments)

@@ -102,7 +102,7 @@ def test_order_in_memory_does_not_matter(camera: str, projection: Projection) ->
     assert b.touched is not None
     np.testing.assert_array_equal(a.touched[order], b.touched)
     np.testing.assert_array_equal(ga.packed[order], gb.packed)
-    np.testing.assert_array_equal(ga.pose, gb.pose)
+    np.testing.assert_allclose(ga.pose, gb.pose, rtol=1e-12)  # summed over the Gaussians in memory order, in float64
     assert a.colour.any()
 
 

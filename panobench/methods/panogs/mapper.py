@@ -172,15 +172,12 @@ class Mapper:
         loss, gradient, _ = photometric_loss(
             out.planes, view.image, weights, view.gain, view.offset, self.config.loss_knee
         )
-        grads = self.renderer.backward(gradient, planar=True)
         isotropy = self.config.isotropy / max(3 * len(out.order), 1)
         z = self.median_depth
-        self.adam.step(
-            self.map, grads.packed, self.rates(), isotropy, (1e-4 * z, 0.5 * z),
-        )  # fmt: skip
+        pose = self.adam.step_back(self.renderer, gradient, self.rates(), isotropy, (1e-4 * z, 0.5 * z))
         if refine_pose and self.config.refine_poses and self.keyframes and view is not self.keyframes[0]:
             rates = (self.config.pose_rate_translation_rel * z, self.config.pose_rate_rotation)
-            view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), grads.pose, rates))
+            view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), pose, rates))
         return loss
 
     def rates(self) -> LearningRates:
