@@ -9,6 +9,7 @@ is kept only if the mean robust cost falls.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numba import get_num_threads, njit, prange
@@ -63,6 +64,11 @@ class ReferenceLevel:
     value: F32
     weight: F32
     camera: F32
+
+    @cached_property
+    def total(self) -> float:
+        """Sum of the weights."""
+        return float(self.weight.sum(dtype=np.float64))
 
 
 @dataclass(frozen=True)
@@ -316,6 +322,11 @@ def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, o
     return out, bins
 
 
+#: The same sums by one thread: waking another costs more than so few pixels.
+_accumulate_alone = njit(**JIT)(_accumulate.py_func)
+_FEW = 6000
+
+
 @dataclass(frozen=True)
 class _Normal:
     """H (8, 8), b (8,), mean robust cost, share of the weight that was seen and robust residual sigma."""
@@ -346,7 +357,8 @@ def _normal_equations(
 ) -> _Normal:
     threads = get_num_threads()
     R, t = state.T[:3, :3].astype(np.float32), state.T[:3, 3].astype(np.float32)
-    parts, bins = _accumulate(
+    accumulate = _accumulate if len(level.value) > _FEW else _accumulate_alone
+    parts, bins = accumulate(
         level.points, level.jacobian, level.value, level.weight, image, code, level.camera,
         R, t, state.gain, state.offset, huber, cut, UNKNOWNS if exposure else 6, threads,
     )  # fmt: skip
@@ -355,7 +367,7 @@ def _normal_equations(
     H[np.triu_indices(UNKNOWNS)] = sums[:_HESSIAN]
     H = H + np.triu(H, 1).T
     seen = float(sums[-1])
-    total = float(level.weight.sum(dtype=np.float64))
+    total = level.total
     cost = float(sums[-2]) / seen if seen > 0 else np.inf
     cumulative = np.cumsum(bins.sum(axis=0))
     median = float(np.searchsorted(cumulative, 0.5 * cumulative[-1]) + 0.5) / float(_PER_BIN)

@@ -28,7 +28,7 @@ class PanogsConfig:
     keyframe_new: float = 0.04
     keyframe_new_interval: int = 4
     # Gaussians
-    pixels_per_gaussian: float = 4.0
+    pixels_per_gaussian: float = 6.0  # of the seeds; the map gets finer where it must (densify)
     insert_opacity: float = 0.5
     insert_error: float = 0.12
     sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
@@ -43,6 +43,7 @@ class PanogsConfig:
     initial_opacity: float = 0.9
     # Mapping
     mapping_iterations: int = 12
+    steps_per_frame: int = 4  # mapping steps are spread over frames, about so many each; 0: all at the keyframe
     initial_iterations: int = 40
     random_views: int = 2
     random_from: Literal["frames", "keyframes"] = "frames"
@@ -58,10 +59,14 @@ class PanogsConfig:
     opacity_rate: float = 0.1
     colour_rate: float = 0.02
     loss_knee: float = 0.05
+    rate_decay: float = 0.0  # steps after which a Gaussian's rates have halved; 0: they do not decay
+    rate_floor: float = 0.1
     adam_beta1: float = 0.9
     adam_beta2: float = 0.99
     isotropy: float = 0.0
-    densify: bool = True
+    densify: bool = True  # seeds follow the detail of the image, and discs too coarse for it are split
+    split_error: float = 0.06  # colour error over a disc's pixels from which it is split, and its least size there
+    split_size_px: float = 1.0
     prune_opacity: float = 0.05
     final_iterations: int = 0
     # Depth of the first frame when the run names no estimator
@@ -72,6 +77,9 @@ class PanogsConfig:
 PAPER: dict[str, Any] = {
     "projection": "erp",
     "keyframe_new": 1.0,
+    "densify": False,
+    "pixels_per_gaussian": 4.0,
+    "steps_per_frame": 0,
     "carve": False,
     "sweep": False,
     "smooth": False,

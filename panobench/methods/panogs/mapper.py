@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.surface import equal_area_pixels, fill_depth, seed_gaussians
+from panobench.methods.panogs.detail import EVEN, LEVELS, SeedPattern
+from panobench.methods.panogs.split import SplitRule, halves, too_coarse
+from panobench.methods.panogs.surface import fill_depth, seed_gaussians
 from panobench.methods.panogs.views import View
 from panobench.splat.adam import GaussianAdam, LearningRates
 from panobench.splat.gaussians import F32, GaussianMap
@@ -19,6 +23,8 @@ from panobench.splat.render import Renderer, RenderOutput
 _CARVE_BEFORE = 0.85
 #: Of what is seen of a Gaussian, the part on wrong pixels from which it is one of the culprits.
 _CARVE_SHARE = 0.25
+#: With more planned steps than so many times a frame's, a frame does more.
+_BACKLOG = 8
 
 
 class Mapper:
@@ -29,16 +35,19 @@ class Mapper:
         self.rng = np.random.default_rng(seed)
         self.weights = pixel_weights(camera, config.loss)
         self.map = GaussianMap.empty()
-        self.adam = GaussianAdam(0, config.adam_beta1, config.adam_beta2)
+        self.adam = GaussianAdam(
+            0, config.adam_beta1, config.adam_beta2, config.rate_decay or np.inf, config.rate_floor
+        )
         self.born = np.zeros(0, np.int32)  # keyframe number at which each Gaussian was inserted
         self.window: list[View] = []
         self.keyframes: list[View] = []
         self.frames: list[View] = []
+        self.todo: deque[View] = deque()
         self.median_depth = 1.0
-        coverage = float(camera.solid_angle().sum())
         valid = int(np.count_nonzero(camera.valid_mask()))
         self.count = max(int(valid / config.pixels_per_gaussian), 16)
-        self.spacing = float(np.sqrt(coverage / self.count))
+        self.split_rule = SplitRule(config.split_error, config.split_size_px)
+        self.pattern = SeedPattern(camera, self.count, LEVELS if config.densify else EVEN)
 
     # -- growing -------------------------------------------------------------------------------------------------
 
@@ -46,7 +55,7 @@ class Mapper:
         """First map from the first view and its depth (H, W)."""
         depth = fill_depth(depth, self.camera.kind == "erp")
         self.median_depth = float(np.nanmedian(depth))
-        self._seed(view, depth, equal_area_pixels(self.camera, self.count, self.rng))
+        self._seed(view, depth, *self.pattern.seeds(view.image, None, self.rng))
 
     def insert(
         self, view: View, render: RenderOutput, swept: F32 | None = None, disproved: NDArray[np.bool_] | None = None
@@ -66,13 +75,11 @@ class Mapper:
             wanted |= wrong
             if self.config.carve:
                 self.carve(view, wrong, swept)
-        pixels = equal_area_pixels(self.camera, self.count, self.rng)
-        x, y = pixels[:, 0].astype(np.intp), pixels[:, 1].astype(np.intp)
-        pixels = pixels[wanted[np.minimum(y, self.camera.height - 1), x % self.camera.width]]
+        pixels, spacing = self.pattern.seeds(view.image, wanted, self.rng)
         if len(pixels) == 0:
             return 0
         if swept is not None:
-            return self._seed(view, swept, pixels)
+            return self._seed(view, swept, pixels, spacing)
         known = render.expected_depth(0.5)
         if self.config.depth_guided:
             depth, noise = fill_depth(known, self.camera.kind == "erp"), 0.02
@@ -81,7 +88,7 @@ class Mapper:
             depth, noise = np.full_like(known, self.median_depth), 0.15
             guessed = np.ones(known.shape, bool)
         depth = np.where(guessed, depth * (1 + noise * self.rng.standard_normal(depth.shape)), depth)
-        return self._seed(view, depth.astype(np.float32), pixels)
+        return self._seed(view, depth.astype(np.float32), pixels, spacing)
 
     def carve(self, view: View, wrong: NDArray[np.bool_], swept: F32) -> int:
         """Drop what stands well in front of the swept surface where the map is wrong; returns how many.
@@ -96,6 +103,27 @@ class Mapper:
         there, anywhere, deep = self.renderer.backward(shares, planar=True).colours.T
         behind = deep / np.maximum(there, 1e-6)
         return self._drop((there > _CARVE_SHARE * anywhere) & (there > 1e-3) & (distance < _CARVE_BEFORE * behind))
+
+    def split(self, view: View, render: RenderOutput, renderer: Renderer) -> int:
+        """Halve what is too coarse for ``view``; ``render``: ``renderer``'s last, there. Returns how many."""
+        error = np.abs(render.colour - view.image / np.float32(255)).mean(axis=-1)
+        # What is thin gets new Gaussians instead; exactly no error is rare enough to mean "not looked at".
+        error = np.where((self.weights > 0) & (render.opacity > 0.9), error, 0).astype(np.float32)
+        which = too_coarse(renderer, self.map, view.position, error, self.split_rule)
+        if len(which) == 0:
+            return 0
+        self.map = self.map.concat(halves(self.map, which))
+        self.adam.extend(2 * len(which))
+        self.born = np.concatenate([self.born, self.born[which], self.born[which]])
+        n = len(self.map) - 2 * len(which)
+        for seen in {id(v): v for v in [*self.window, *self.keyframes]}.values():
+            if seen.touched is not None:  # the halves are seen where the whole was
+                t = np.zeros(n, np.int32)
+                t[: len(seen.touched)] = seen.touched[:n]
+                seen.touched = np.concatenate([t, t[which], t[which]])
+        gone = np.zeros(len(self.map), bool)
+        gone[which] = True
+        return self._drop(gone)
 
     def local_depth(self, render: RenderOutput) -> float:
         """Median rendered depth, from every fourth row and column; the first map's where nothing is drawn."""
@@ -113,10 +141,10 @@ class Mapper:
         error = np.abs(render.colour - view.image / np.float32(255)).mean(axis=-1)
         return (cv2.blur(error, (5, 5)) > self.config.insert_error) & (self.weights > 0)
 
-    def _seed(self, view: View, depth: F32, pixels: NDArray[np.float64]) -> int:
+    def _seed(self, view: View, depth: F32, pixels: NDArray[np.float64], spacing: NDArray[np.float64]) -> int:
         c = self.config
         new = seed_gaussians(
-            self.camera, view.image, depth, pixels, view.T_wc, self.spacing,
+            self.camera, view.image, depth, pixels, view.T_wc, spacing,
             flatten=c.flatten, scale_factor=c.scale_factor, opacity=c.initial_opacity,
         )  # fmt: skip
         self.map = self.map.concat(new)
@@ -149,6 +177,21 @@ class Mapper:
         """
         schedule = self._schedule(iterations)
         return float(np.mean([self.step(view, refine_pose=poses) for view in schedule])) if schedule else 0.0
+
+    def plan(self, iterations: int) -> None:
+        """So many steps more for ``work``, on the views as they are now."""
+        self.todo.extend(self._schedule(iterations))
+
+    def work(self, steps: int) -> None:
+        """Do about ``steps`` of the planned steps, more when they pile up; prune when the last one is done."""
+        if not self.todo:
+            return
+        for _ in range(min(max(steps, len(self.todo) // _BACKLOG), len(self.todo))):
+            view = self.todo.popleft()
+            if view.image.size:
+                self.step(view, refine_pose=True)
+        if not self.todo:
+            self.prune()
 
     def _schedule(self, iterations: int) -> list[View]:
         pool = self.frames if self.config.random_from == "frames" and self.frames else self.keyframes

@@ -93,7 +93,7 @@ def seed_gaussians(
     depth: F32,
     pixels: NDArray[np.float64],
     T_wc: NDArray[np.float64],
-    spacing_rad: float,
+    spacing_rad: float | NDArray[np.float64],
     *,
     flatten: float,
     scale_factor: float,
@@ -101,7 +101,7 @@ def seed_gaussians(
 ) -> GaussianMap:
     """Discs at ``pixels`` (M, 2) on the surface given by radial ``depth`` (H, W), coloured from the image.
 
-    spacing_rad: angle between neighbouring seeds; a disc's standard deviation is scale_factor x spacing x depth,
+    spacing_rad: angle between neighbouring seeds, one for all or (M,); a disc's standard deviation is scale_factor x spacing x depth,
     stretched along the tilt of the surface so that it still covers its share of the image, and ``flatten`` times
     that along the normal. Pixels without depth are skipped.
     """
@@ -109,6 +109,7 @@ def seed_gaussians(
     d = depth[y, x].astype(np.float64)
     keep = np.isfinite(d) & (d > 0)
     x, y, d, pixels = x[keep], y[keep], d[keep], pixels[keep]
+    spacing = np.broadcast_to(spacing_rad, keep.shape)[keep]
     rays = camera.unproject(pixels)
     normals = surface_normals(camera, depth)[y, x]
     # The seed lies off the pixel centre: slide the depth along the tangent plane through the centre's point.
@@ -124,7 +125,7 @@ def seed_gaussians(
     fallback /= np.linalg.norm(fallback, axis=1, keepdims=True)
     first = np.where(tilt_norm > 1e-3, tilt / np.maximum(tilt_norm, 1e-12), fallback)
     axes = np.stack([first, np.cross(normals, first), normals], axis=-1)
-    base = scale_factor * spacing_rad * d
+    base = scale_factor * spacing * d
     scales = np.stack([base / cosine, base, flatten * base], axis=1)
     R_wc, t = T_wc[:3, :3], T_wc[:3, 3]
     quats = quat_from_matrix(R_wc @ axes)[:, [3, 0, 1, 2]]

@@ -138,6 +138,8 @@ class PanogsMethod(OnlineMethod):
         if frame.mappable:
             keyframe = self._map(frame, tracked)
             numbers["keyframe"] = float(keyframe)
+        self.mapper.work(self.config.steps_per_frame or len(self.mapper.todo))
+        self.tracker.reset(self._pose(frame.index), self.tracker.velocity)
         numbers["mapping_s"] = time.perf_counter() - began - numbers["tracking_s"]
 
     def _map(self, frame: Frame, tracked: Tracked) -> bool:
@@ -159,18 +161,17 @@ class PanogsMethod(OnlineMethod):
         ):  # fmt: skip
             m.remember(view)
             return False
-        before = len(m.map)
         m.add_keyframe(view, update_window(m.window, view, self.config.window))
+        if self.config.densify:
+            m.split(view, tracked.render, self.track_renderer)
+        before = len(m.map)
         record = self.records[frame.index]
         record.anchor, record.relative = view, np.eye(4)
         self._look_back(local)
         if not self.config.sweep:
             m.insert(view, tracked.render)
         grown = max(len(m.map) - before, 0) / m.count
-        m.optimise(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
-        m.prune()
-        velocity = self.tracker.velocity
-        self.tracker.reset(view.T_wc, velocity)
+        m.plan(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
         return True
 
     def _look_back(self, depth: float) -> None:
@@ -219,6 +220,7 @@ class PanogsMethod(OnlineMethod):
             estimate = self.estimator.finish() if self.estimator else None
             if estimate is not None:
                 self._initialise(estimate)
+        self.mapper.work(len(self.mapper.todo))
         if self.config.final_iterations and self.mapper.keyframes:
             self.mapper.window = [v for v in self.mapper.keyframes if v.image.size]
             self.mapper.optimise(self.config.final_iterations, poses=False)
