@@ -349,12 +349,12 @@ def _cone_meets(p, cone):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, cursor, entries):  # type: ignore[no-untyped-def]
-    """Advance ``cursor`` of every tile instance k may touch, writing k there unless ``entries`` is empty."""
+def _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, drawn, cursor, entries):  # type: ignore[no-untyped-def]
+    """Advance ``cursor`` of every drawn tile instance k may touch, writing k there unless ``entries`` is empty."""
     fill = len(entries) > 0
     if bound == BOUND_CONES:
         for t in range(tiles):
-            if _cone_meets(packed[k], cones[t]):
+            if drawn[t] and _cone_meets(packed[k], cones[t]):
                 if fill:
                     entries[cursor[t]] = k
                 cursor[t] += 1
@@ -377,14 +377,17 @@ def _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cone
             continue
         for ty in range(y0, y1 + 1):
             for t in range(ty * tiles_x + x0 // tile_w, ty * tiles_x + x1 // tile_w + 1):
-                if fill:
-                    entries[cursor[t]] = k
-                cursor[t] += 1
+                if drawn[t]:
+                    if fill:
+                        entries[cursor[t]] = k
+                    cursor[t] += 1
 
 
 @njit(**PARALLEL)
-def bin_tiles(packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles_y, bound, cones, threads):  # type: ignore[no-untyped-def]
+def bin_tiles(packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles_y, bound, cones, drawn, threads):  # type: ignore[no-untyped-def]
     """Tile lists in depth order for instances already sorted by depth: starts (tiles + 1,), entries (E,).
+
+    drawn (tiles,): tiles that need a list; the others' stay empty.
 
     Each thread takes a run of instances; its entries stand behind those of nearer runs, so the lists do not depend
     on the number of threads.
@@ -395,7 +398,7 @@ def bin_tiles(packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles_y, bound, co
     nothing = np.empty(0, np.int32)
     for th in prange(threads):
         for k in range(th * block, min((th + 1) * block, n)):
-            _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, cursor[th], nothing)
+            _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, drawn, cursor[th], nothing)
     starts = np.zeros(tiles + 1, np.int64)
     for t in range(tiles):
         total = starts[t]
@@ -407,5 +410,5 @@ def bin_tiles(packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles_y, bound, co
     entries = np.empty(max(starts[tiles], 1), np.int32)
     for th in prange(threads):
         for k in range(th * block, min((th + 1) * block, n)):
-            _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, cursor[th], entries)
+            _visit(k, packed, rows, cols, W, tile_w, tile_h, tiles_x, tiles, bound, cones, drawn, cursor[th], entries)
     return starts, entries

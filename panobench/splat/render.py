@@ -162,8 +162,12 @@ class Renderer:
         )  # fmt: skip
         order = project.radix_order(key)
         packed, rows, cols = project.gather(order, packed, rows, cols)
+        drawn = np.ones(v.tiles_x * v.tiles_y, np.bool_)
+        if tiles is not None:
+            drawn[:] = False
+            drawn[tiles] = True
         starts, entries = project.bin_tiles(
-            packed, rows, cols, v.width, TILE_W, TILE_H, v.tiles_x, v.tiles_y, v.bound, v.cones, self.threads
+            packed, rows, cols, v.width, TILE_W, TILE_H, v.tiles_x, v.tiles_y, v.bound, v.cones, drawn, self.threads
         )
         tiles = self.all_tiles() if tiles is None else tiles
         new = np.empty if len(tiles) == v.tiles_x * v.tiles_y else np.zeros
