@@ -32,6 +32,7 @@ METRICS: tuple[MetricSpec, ...] = (
             "holdout_psnr_db": "higher",
             "holdout_ws_psnr_db": "higher",
             "holdout_views_psnr_db": "higher",
+            "direct_psnr_db": "higher",
             "novel_psnr_db": "higher",
             "novel_ssim": "higher",
         },

@@ -109,23 +109,28 @@ class FrameJudge:
         plain, weighted = psnr(render, truth, self.valid), psnr(render, truth, self.solid_angle)
         means.add("holdout_psnr_db" if held_out else "pano_psnr_db", plain)
         means.add("holdout_ws_psnr_db" if held_out else "ws_psnr_db", weighted)
-        for picture, reference, valid in self._view_pairs(truth, render, T_wc):
+        for picture, reference, valid in self._view_pairs(truth, render):
             means.add("holdout_views_psnr_db" if held_out else "psnr_db", psnr(picture, reference, valid))
             if not held_out:
                 means.add("ssim", ssim(picture, reference, valid))
                 if self.lpips is not None:
                     means.add("lpips", self.lpips(picture, reference, valid))
+        if not held_out:
+            self._add_direct(means, truth, T_wc)
 
-    def _view_pairs(
-        self, truth: Image, render: Image, T_wc: NDArray[np.float64]
-    ) -> Iterable[tuple[Image, Image, NDArray[np.bool_]]]:
+    def _view_pairs(self, truth: Image, render: Image) -> Iterable[tuple[Image, Image, NDArray[np.bool_]]]:
+        """The views of the map and of the frame, by one and the same look-up."""
         if not self.views:
             yield render, truth, self.valid
-            return
+        for view in self.views:
+            yield view.image(render), view.image(truth), view.valid
+
+    def _add_direct(self, means: Means, truth: Image, T_wc: NDArray[np.float64]) -> None:
+        """Views rendered straight into the perspective camera, against the interpolated frame."""
         for view in self.views:
             picture = self.render(view.camera, view.pose(T_wc))
             if picture is not None:
-                yield picture, view.image(truth), view.valid
+                means.add("direct_psnr_db", psnr(picture, view.image(truth), view.valid))
 
 
 def novel_views(data: MetricInput, judge: FrameJudge, means: Means) -> None:

@@ -14,6 +14,7 @@ from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import execute
 from panobench.cli.main import run as panobench
 from panobench.errors import InputError, UsageError
+from panobench.metrics.base import PROTOCOL_VERSION
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
 
@@ -25,7 +26,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_the_same_protocol_gives_the_same_numbers(folder: Path) -> None:
     before, after = read_run_json(folder), rescore(folder, Protocol())
-    assert after["protocol"] == before["protocol"] == "1.1"
+    assert after["protocol"] == before["protocol"] == PROTOCOL_VERSION
     assert after["status"] == "ok"
     for key, value in before["metrics"].items():
         if isinstance(value, float):
@@ -37,7 +38,7 @@ def test_another_protocol_gives_other_numbers(folder: Path) -> None:
     free = rescore(folder, Protocol())["metrics"]
     rigid = rescore(folder, Protocol(alignment="se3"))
     raw = rescore(folder, Protocol(alignment="none"))["metrics"]
-    assert rigid["protocol"] == "1.1+align=se3"
+    assert rigid["protocol"] == PROTOCOL_VERSION + "+align=se3"
     assert free["ate_rmse_m"] < rigid["metrics"]["ate_rmse_m"] < raw["ate_rmse_m"]
     assert rigid["metrics"]["scale"] == 1.0
     late = rescore(folder, Protocol(skip_s=0.55))["metrics"]
@@ -45,7 +46,7 @@ def test_another_protocol_gives_other_numbers(folder: Path) -> None:
     assert late["path_length_m"] < free["path_length_m"]
     strict = rescore(folder, Protocol(failed_ate_m=0.001))
     assert strict["status"] == "lost"
-    assert strict["rescored_from"] == {"protocol": "1.1", "status": "ok"}
+    assert strict["rescored_from"] == {"protocol": PROTOCOL_VERSION, "status": "ok"}
 
 
 def test_failed_runs_stay_failed(tmp_path: Path) -> None:
@@ -81,8 +82,8 @@ def test_impossible_protocols() -> None:
 def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert panobench(["score", str(tmp_path), "--align", "se3", "--out", str(tmp_path / "new")]) == 0
     assert " -> " in capsys.readouterr().out
-    assert read_run_json(tmp_path / "new" / "run")["protocol"] == "1.1+align=se3"
-    assert read_run_json(folder)["protocol"] == "1.1"
+    assert read_run_json(tmp_path / "new" / "run")["protocol"] == PROTOCOL_VERSION + "+align=se3"
+    assert read_run_json(folder)["protocol"] == PROTOCOL_VERSION
     assert (tmp_path / "new" / "run" / "trajectory.tum").read_bytes() == (folder / "trajectory.tum").read_bytes()
     assert panobench(["score", str(folder), "--max-ate", "0.001", "--in-place", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["after"]["status"] == "lost"
