@@ -56,8 +56,8 @@ RENDERING = (
     Quantity("novel_psnr_db", "Novel PSNR", "dB", "higher", about="views off the trajectory"),
 )
 COST = (
-    Quantity("fps", "Frames/s", "1/s", "higher", about="whole system"),
-    Quantity("tracking_fps", "Tracking", "1/s", "higher", about="tracking alone"),
+    Quantity("fps", "Whole system", "frames/s", "higher"),
+    Quantity("tracking_fps", "Tracking alone", "frames/s", "higher"),
     Quantity("latency_p50_s", "Latency p50", "ms", "lower", scale=1e3, digits=0),
     Quantity("latency_p95_s", "Latency p95", "ms", "lower", scale=1e3, digits=0),
     Quantity("wall_s", "Wall time", "s", "lower", digits=1),
