@@ -102,7 +102,7 @@ def test_so_does_every_other_central_camera(camera):
     estimate, _ = run(camera, [view(camera, T) for T in truth])
     ate, angle, index = errors(estimate, truth)
     assert len(index) == len(truth)
-    assert ate < 0.015
+    assert ate < 0.003
     assert angle < 0.5
 
 
