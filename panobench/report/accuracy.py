@@ -63,11 +63,9 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
             " and the bootstrap 95% interval of the median."
         )
     if judged and len(common) < len(sequences):
-        names = ", ".join(sequences[j] for j in common) or "no sequence"
-        notes = (
-            *notes,
-            f"The mean is over {names}: where all methods succeed that were run everywhere and succeed somewhere.",
-        )
+        where = "where all methods succeed that were run everywhere and succeed somewhere"
+        names = ", ".join(sequences[j] for j in common)
+        notes = (*notes, f"The mean is over {names}: {where}." if common else f"No mean: there is no sequence {where}.")
     if len(judged) < len(cells):
         notes = (*notes, "Methods that were given the poses show them again: they are not ranked.")
     if any(p.differs for p in order):
