@@ -32,12 +32,18 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
     here = {v: runs for v, runs in here.items() if runs}
     sequences = sorted({r.sequence for runs in here.values() for r in runs}, key=natural)
     unit, scale = length_unit(
-        [a for runs in here.values() for r in runs if not failure(r) and (a := r.number("ate_rmse_m")) is not None]
+        [
+            ate
+            for runs in here.values()
+            for r in runs
+            if not failure(r) and not r.given_poses and (ate := r.number("ate_rmse_m")) is not None
+        ]
     )
     cells = {
         v: [ate_cell([r for r in runs if r.sequence == s], unit, scale) for s in sequences] for v, runs in here.items()
     }
-    everywhere = [v for v, row in cells.items() if all(c.text != NOT_RUN for c in row)] or list(cells)
+    judged = [v for v in cells if not given(here[v])]
+    everywhere = [v for v in judged if all(c.text != NOT_RUN for c in cells[v])] or judged
     common = common_sequences([cells[v] for v in everywhere])
     columns = [Column("method", "Method", numeric=False)] + [Column(s, s, unit, "lower") for s in sequences]
     if len(sequences) > 1:
@@ -45,7 +51,8 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
         columns.append(Column("mean", "Geom. mean", unit, "lower", about="geometric mean, see the ranking rule"))
     order = rank({str(i): [c.value for c in cells[v]] for i, v in enumerate(everywhere)})
     rows = [_row(everywhere[int(p.name)], p, cells, here, unit) for p in order]
-    rows += [_row(v, None, cells, here, unit) for v in cells if v not in everywhere]
+    rows += [_row(v, None, cells, here, unit) for v in judged if v not in everywhere]
+    rows += [_row(v, None, cells, here, unit) for v in cells if v not in judged]
     rows = mark_ranks(columns, rows)
     extra, notes = published_block(published, dataset, sequences, unit, scale) if published else ([], ())
     rows += [_published_row(label, values, unit, common) for label, values in extra]
@@ -55,12 +62,12 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
             " Cells with repeats show the median of n runs, with the interquartile range (IQR)"
             " and the bootstrap 95% interval of the median."
         )
-    if len(common) < len(sequences):
-        names = ", ".join(sequences[j] for j in common) or "no sequence"
-        notes = (
-            *notes,
-            f"The mean is over {names}: where all methods succeed that were run everywhere and succeed somewhere.",
-        )
+    if judged and len(common) < len(sequences):
+        where = "where all methods succeed that were run everywhere and succeed somewhere"
+        names = ", ".join(sequences[j] for j in common)
+        notes = (*notes, f"The mean is over {names}: {where}." if common else f"No mean: there is no sequence {where}.")
+    if len(judged) < len(cells):
+        notes = (*notes, "Methods that were given the poses show them again: they are not ranked.")
     if any(p.differs for p in order):
         notes = (*notes, "† differs significantly from the first method (see the ranking rule).")
     return Table(f"ate-{dataset}", f"Trajectory accuracy, {dataset}", caption, tuple(columns), tuple(rows), notes)
@@ -94,7 +101,13 @@ def common_sequences(rows: Sequence[Sequence[Cell]]) -> list[int]:
 
 def flags(runs: Sequence[Run]) -> tuple[str, ...]:
     """What a reader must know about a row before comparing it."""
-    return ("true depth",) if any(run.true_depth for run in runs) else ()
+    told = (("true depth", any(run.true_depth for run in runs)), ("given poses", given(runs)))
+    return tuple(word for word, holds in told if holds)
+
+
+def given(runs: Sequence[Run]) -> bool:
+    """Whether the poses were given to them: they compete with nobody."""
+    return any(run.given_poses for run in runs)
 
 
 def _row(
@@ -116,7 +129,8 @@ def _row(
         row.append(Cell(f"{done}/{tried}", float(done)))
         row.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
     facets = {"method": variant.method, "status": "ok" if done == tried else "failed"}
-    return Row(tuple(row), variant.origin, facets, flags=flags(runs[variant]))
+    told = flags(runs[variant])
+    return Row(tuple(row), variant.origin, facets, flags=told, competes=not given(runs[variant]))
 
 
 def _published_row(label: str, values: Sequence[float | None], unit: str, common: Sequence[int]) -> Row:

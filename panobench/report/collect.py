@@ -147,6 +147,7 @@ def read_run(folder: Path) -> Run:
         command=_command(document, spec),
         protocol=protocol,
         true_depth=bool(_mapping(document.get("depth")).get("oracle")),
+        given_poses=bool(_mapping(document.get("depth")).get("poses_given")),
         warnings=tuple(warnings),
     )
 

@@ -45,7 +45,9 @@ def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> l
         return _run_tiles(collection.runs[0])
     failed = sum(failure(r) is not None for r in collection.runs)
     out = [Tile("Runs", str(len(collection.runs)), note=f"{failed} failed" if failed else "all succeeded")]
-    good = [(r, v.label) for v, runs in grouped.items() for r in runs if not failure(r)]
+    good = [(r, v.label) for v, runs in grouped.items() for r in runs if not failure(r) and not r.given_poses]
+    # who finds no path at all is not the fastest to find it
+    good = [(r, label) for r, label in good if r.number("ate_rmse_m") is not None] or good
     for name, key, best, text, unit in (
         ("Lowest ATE", "ate_rmse_m", min, lambda v: length_text(v * 1e3, "mm"), "mm"),
         ("Highest panorama PSNR", "pano_psnr_db", max, lambda v: f"{v:.2f}", "dB"),
@@ -63,7 +65,7 @@ def _run_tiles(run: Run) -> list[Tile]:
     reason, ate, tracked = failure(run), run.number("ate_rmse_m"), run.number("tracked")
     if reason:
         out.append(Tile("Result", "failed", note=reason))
-    if ate is not None:
+    if ate is not None and not run.given_poses:
         kind = run.errors.alignment if run.errors else "RMSE"
         share = run.number("ate_percent")
         note = f"{kind}, {share:.2f}% of the path" if share is not None else kind

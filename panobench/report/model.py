@@ -87,6 +87,7 @@ class Run:
     """One run folder, read. ``numbers`` joins metrics and timing of run.json (None: not measured).
 
     true_depth: the method was given the dataset's own depth, so its accuracy is an upper bound.
+    given_poses: it was given the poses too: its trajectory is no result, and its map an upper bound.
     """
 
     folder: Path
@@ -112,6 +113,7 @@ class Run:
     command: str = ""
     protocol: str = ""
     true_depth: bool = False
+    given_poses: bool = False
     warnings: tuple[str, ...] = ()
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from panobench.report import figures
@@ -66,13 +66,15 @@ def place_section(
     if trace is not None:
         spatial["data"].append(trace)
         spatial["layout"]["scene"]["camera"]["eye"] = {"x": 0.98, "y": -1.38, "z": 1.32}
-    described = [f"{label}: {figures.describe_errors(r.errors)}" for r, label in zip(runs, labels) if r.errors]
+    # poses that were given have no error of their own
+    own = [replace(r, errors=None) if r.given_poses else r for r in runs]
+    described = [f"{label}: {figures.describe_errors(r.errors)}" for r, label in zip(own, labels) if r.errors]
     about = "Position error after alignment. " + "; ".join(described)
     add("3d", "Trajectory", "Aligned trajectories and ground truth in space", spatial, size="wide", spatial=True)
     add("top", "From above", "The same trajectories seen from above", plan, size="narrow")
-    error = figures.error_figure(runs, labels, colours, "translation")
+    error = figures.error_figure(own, labels, colours, "translation")
     add("ate", "Position error over time", about, error, size="wide")
-    turn = figures.error_figure(runs, labels, colours, "rotation")
+    turn = figures.error_figure(own, labels, colours, "rotation")
     add(
         "rot",
         "Rotation error over time",
@@ -145,7 +147,7 @@ def cost_charts(grouped: Mapping[Variant, Sequence[Run]], data: dict[str, Any]) 
         }
         for colour, (variant, runs) in enumerate(grouped.items())
         for run in runs
-        if not failure(run)
+        if not failure(run) and not run.given_poses
     ]
     charts: list[Chart] = []
     scatter = figures.accuracy_speed_figure(points)

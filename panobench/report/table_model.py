@@ -48,13 +48,17 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """Cells in column order. facets: what filters look at. target: an anchor to link to. flags: warnings in a word."""
+    """Cells in column order. facets: what filters look at. target: an anchor to link to. flags: warnings in a word.
+
+    competes: its cells may be the best or second best of their columns.
+    """
 
     cells: tuple[Cell, ...]
     origin: Origin = "measured"
     facets: dict[str, str] = field(default_factory=dict)
     target: str = ""
     flags: tuple[str, ...] = ()
+    competes: bool = True
 
 
 @dataclass(frozen=True)
@@ -100,11 +104,11 @@ def spread_text(summary: Summary, text: Callable[[float], str]) -> str:
 
 
 def mark_ranks(columns: Sequence[Column], rows: list[Row]) -> list[Row]:
-    """The same rows with best and second best marked per column; published and failed cells do not compete."""
+    """The same rows with best and second best marked per column; published, failed and given cells do not compete."""
     for j, column in enumerate(columns):
         if column.key == "succeeded":
             continue
-        competing = [row.origin != "published" and not row.cells[j].failed for row in rows]
+        competing = [row.competes and row.origin != "published" and not row.cells[j].failed for row in rows]
         marks = ranks(
             [row.cells[j].text if ok else None for row, ok in zip(rows, competing)],
             [row.cells[j].value if ok else None for row, ok in zip(rows, competing)],

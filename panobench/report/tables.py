@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from panobench.bench.statistics import summarise
-from panobench.report.accuracy import accuracy_table, flags
+from panobench.report.accuracy import accuracy_table, flags, given
 from panobench.report.model import Collection, Run
 from panobench.report.published import Published
 from panobench.report.ranking import failure
@@ -56,8 +56,8 @@ RENDERING = (
     Quantity("novel_psnr_db", "Novel PSNR", "dB", "higher", about="views off the trajectory"),
 )
 COST = (
-    Quantity("fps", "Frames/s", "1/s", "higher", about="whole system"),
-    Quantity("tracking_fps", "Tracking", "1/s", "higher", about="tracking alone"),
+    Quantity("fps", "Whole system", "frames/s", "higher"),
+    Quantity("tracking_fps", "Tracking alone", "frames/s", "higher"),
     Quantity("latency_p50_s", "Latency p50", "ms", "lower", scale=1e3, digits=0),
     Quantity("latency_p95_s", "Latency p95", "ms", "lower", scale=1e3, digits=0),
     Quantity("wall_s", "Wall time", "s", "lower", digits=1),
@@ -106,7 +106,7 @@ def quantity_table(name: str, title: str, quantities: Sequence[Quantity], groupe
             for quantity in quantities:
                 cells.append(_mean_of_medians(good, sequences, quantity))
             facets = {"method": variant.method, "dataset": dataset}
-            block.append(Row(tuple(cells), variant.origin, facets, flags=flags(good)))
+            block.append(Row(tuple(cells), variant.origin, facets, flags=flags(good), competes=not given(good)))
         rows += mark_ranks(columns, block)
     caption = "Mean over the sequences a method succeeded on, each the median of its repeats."
     return Table(name, title, caption, tuple(columns), tuple(rows))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -98,17 +99,34 @@ def test_the_video_tutorial_works_from_the_first_command_to_the_last(walk: Path)
     assert "2 methods on walk" in (walk / "walk-report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("page", ["suites.md", "studies.md", "report.md", "datasets.md", "faq.md", "tutorial-video.md"])
-def test_commands_and_options_that_pages_name_exist(page: str) -> None:
-    """`panobench COMMAND --option` in text or blocks: the command is there and has the option."""
+#: Pages outside of the site that name commands as well.
+OUTSIDE = [ROOT / "README.md", ROOT / "reports" / "README.md", *sorted((ROOT / "plugins").glob("*/README.md"))]
+#: Options whose value is a name that the registry knows, or, in capitals, the reader's own.
+NAMED = {"--method": "MethodSpec", "--dataset": "DatasetSpec", "--camera": "CameraSpec", "--depth": "DepthSpec"}
+
+
+def commands(text: str) -> list[list[str]]:
+    """Words of every `panobench COMMAND ...` in text or blocks, comments and prose left out."""
+    found = re.findall(r"panobench ((?:[a-z]+ ?)+[^\n`#|]*)", text.replace("\\\n", " "))
+    return [re.split(r"  | - |; ", line)[0].split() for line in found]
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OUTSIDE], ids=lambda p: str(p.relative_to(ROOT)))
+def test_commands_and_options_that_pages_name_exist(page: Path) -> None:
+    """The command is there and has the options, and what they name is registered, by a plugin here or a built-in."""
     import typer
 
+    from panobench import specs
     from panobench.cli.commands import COMMANDS
     from panobench.cli.lazy import load_command
+    from panobench.plugins import registry
 
-    text = (DOCS / page).read_text(encoding="utf-8").replace("\\\n", " ")
-    for line in re.findall(r"panobench ((?:[a-z]+ ?)+[^\n`#|]*)", text):
-        words = line.split()
+    registered = {option: set(registry().specs(getattr(specs, kind))) for option, kind in NAMED.items()}
+    registered["--method"] |= set(re.findall(r'MethodSpec\(\s*"([a-z0-9-]+)"', plugin_sources())) | {
+        "compass",
+        "rotation",
+    }
+    for words in commands(page.read_text(encoding="utf-8")):
         if words[0] not in COMMANDS:
             continue
         command: Any = load_command(words[0])
@@ -118,4 +136,12 @@ def test_commands_and_options_that_pages_name_exist(page: str) -> None:
             command = command.commands[words[1]]
         known = {o for p in command.get_params(typer.Context(command)) for o in (*p.opts, *p.secondary_opts)}
         used = {w.partition("=")[0] for w in words if re.fullmatch(r"--[a-z][a-z-]*(=.*)?", w)}
-        assert used <= known | {"--help"}, line
+        assert used <= known | {"--help"}, words
+        for option, value in pairwise(words):
+            name = value.partition(":")[0].strip("\"',.")
+            if option in registered and re.fullmatch(r"[a-z0-9-]+", name):
+                assert name in registered[option], words
+
+
+def plugin_sources() -> str:
+    return "".join(p.read_text(encoding="utf-8") for p in sorted((ROOT / "plugins").glob("*/src/*/__init__.py")))

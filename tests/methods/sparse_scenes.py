@@ -33,7 +33,8 @@ def view(camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.uint8]:
         reach = np.where(rays > 0, HALF - origin, -HALF - origin) / rays
     reach = np.where(np.isfinite(reach), reach, np.inf)
     axis = np.argmin(reach, axis=-1)
-    hit = origin + rays * np.take_along_axis(reach, axis[..., None], -1)
+    with np.errstate(invalid="ignore"):
+        hit = origin + rays * np.take_along_axis(reach, axis[..., None], -1)
     out = np.zeros(axis.shape, np.float32)
     for wall in range(6):
         a = wall // 2

@@ -5,8 +5,12 @@ import numpy as np
 import pytest
 from sparse_scenes import HALF, view, walk
 
+from panobench.cameras.cubemap import CubemapCamera
+from panobench.cameras.double_sphere import DoubleSphereCamera
 from panobench.cameras.erp import ErpCamera
+from panobench.cameras.eucm import EucmCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
+from panobench.cameras.mei import MeiCamera
 from panobench.depth.base import DepthEstimator
 from panobench.geometry import invert_pose, se3_exp, so3_log, umeyama
 from panobench.methods.base import MethodContext
@@ -16,6 +20,7 @@ from panobench.methods.direct.method import DirectMethod
 from panobench.methods.direct.points import choose_pixels, make_points
 from panobench.methods.direct.tracking import align
 from panobench.methods.direct.window import DirectKeyframe, PointCloud, Window, _host_factor
+from panobench.methods.registration import METHODS
 from panobench.methods.sparse.faces import build_rig
 from panobench.types import DepthEstimate, Frame
 
@@ -257,3 +262,23 @@ def test_a_camera_the_depth_estimator_does_not_know_is_shown_as_a_panorama():
     error = depth[known] / box_distance(truth[0][:3, 3], rays)[known] - 1
     assert known.mean() > 0.6
     assert np.median(np.abs(error)) < 0.02
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        DoubleSphereCamera(240, 240, 60.0, 60.0, 120.0, 120.0, xi=-0.2, alpha=0.6),
+        EucmCamera(240, 240, 75.0, 75.0, 120.0, 120.0, alpha=0.6, beta=1.1),
+        MeiCamera(240, 240, 110.0, 110.0, 120.0, 120.0, xi=1.0),
+        CubemapCamera(6 * 96, 96),
+    ],
+    ids=lambda camera: camera.kind,
+)
+def test_every_central_camera_is_tracked(camera):
+    assert camera.kind in next(spec for spec in METHODS if spec.name == "direct").cameras
+    truth = walk(N)[:10]
+    estimate, live = run((camera, truth, None), [view(camera, T) for T in truth])
+    assert all(p is not None for p in live)
+    found = estimate.trajectory.T_wc[:, :3, 3]
+    moved = umeyama(found, truth[:, :3, 3]).apply_points(found)
+    assert np.sqrt(np.mean(np.sum((moved - truth[:, :3, 3]) ** 2, axis=1))) < 0.003

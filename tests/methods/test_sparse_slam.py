@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 from sparse_scenes import view, walk
 
+from panobench.cameras.cubemap import CubemapCamera
+from panobench.cameras.double_sphere import DoubleSphereCamera
 from panobench.cameras.erp import ErpCamera
+from panobench.cameras.eucm import EucmCamera
+from panobench.cameras.kannala_brandt import KannalaBrandtCamera
+from panobench.cameras.mei import MeiCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import Sim3, invert_pose, make_pose, so3_exp, so3_log, umeyama
 from panobench.methods.base import MethodContext
+from panobench.methods.registration import METHODS
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.faces import build_rig
 from panobench.methods.sparse.method import SparseMethod
@@ -76,6 +82,27 @@ def test_pinhole_uses_the_same_code():
     ate, angle, index = errors(estimate, truth)
     assert len(index) == N
     assert ate < 0.015
+    assert angle < 0.5
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        KannalaBrandtCamera(240, 240, 76.0, 76.0, 120.0, 120.0),
+        DoubleSphereCamera(240, 240, 60.0, 60.0, 120.0, 120.0, xi=-0.2, alpha=0.6),
+        EucmCamera(240, 240, 75.0, 75.0, 120.0, 120.0, alpha=0.6, beta=1.1),
+        MeiCamera(240, 240, 110.0, 110.0, 120.0, 120.0, xi=1.0),
+        CubemapCamera(6 * 96, 96),
+    ],
+    ids=lambda camera: camera.kind,
+)
+def test_so_does_every_other_central_camera(camera):
+    assert camera.kind in next(spec for spec in METHODS if spec.name == "sparse").cameras
+    truth = walk(16)
+    estimate, _ = run(camera, [view(camera, T) for T in truth])
+    ate, angle, index = errors(estimate, truth)
+    assert len(index) == len(truth)
+    assert ate < 0.003
     assert angle < 0.5
 
 

@@ -137,6 +137,28 @@ def test_a_run_is_toggled_in_all_plots_of_its_sequence(opened):
     opened.wait(f"{hidden}.length === 0")
 
 
+def test_repeats_are_told_apart_by_the_same_dashes_everywhere(opened):
+    swatches = opened.evaluate("PB.all('#seq0 .legend [data-colour] > .swatch').map(s => s.style.backgroundImage)")
+    assert len(set(swatches)) == len(swatches) > 4
+    lines = opened.evaluate(
+        "PB.all('#seq0 .plot').flatMap(d => d.data.filter(t => t.line && t.meta.run >= 0)"
+        ".map(t => [t.meta.run, `${t.line.color} ${t.line.dash}`]))"
+    )
+    looks = {run: {look for number, look in lines if number == run} for run, _ in lines}
+    assert all(len(look) == 1 for look in looks.values())
+    assert len(set().union(*looks.values())) == len(looks) > 3
+
+
+def test_a_table_that_goes_on_fades_out_until_it_is_scrolled(opened):
+    more = "document.querySelector('[data-table=runs] .scroll').dataset.more"
+    scroll = "document.querySelector('[data-table=runs] .scroll').scrollTo({{left: {}, behavior: 'instant'}})"
+    opened.wait(f"{more} === 'right'")
+    opened.evaluate(scroll.format(100000))
+    opened.wait(f"{more} === undefined")
+    opened.evaluate(scroll.format(0))
+    opened.wait(f"{more} === 'right'")
+
+
 def test_tabs_work_with_the_arrow_keys(opened):
     opened.evaluate("document.querySelector('[role=tab]').focus()")
     opened.key("ArrowRight", 39)

@@ -10,6 +10,7 @@ import pytest
 
 from panobench.report.collect import collect
 from panobench.report.exports import FORMATS, csv_text, latex_text
+from panobench.report.headline import tiles
 from panobench.report.model import Collection
 from panobench.report.published import Published, load_published
 from panobench.report.ranking import failure, ranks
@@ -87,6 +88,26 @@ def test_runs_with_true_depth_are_flagged(make_run, edit):
     found = table(collect([folder, make_run("b", method="other")]), "ate-rooms")
     assert {row.cells[0].text: row.flags for row in found.rows} == {"panogs": ("true depth",), "other": ()}
     assert "(true depth)" in FORMATS["markdown"]([found])
+
+
+def test_given_poses_are_flagged_and_compete_with_nobody(make_run, edit):
+    folder = make_run("a", method="reconstruct", noise=0.0)
+    edit(folder, lambda d: d["depth"].update(poses_given=True))
+    edit(folder, lambda d: d["metrics"].update(ate_rmse_m=1e-16, pano_psnr_db=60.0, psnr_db=60.0))
+    others = [make_run("b", method="good", noise=0.001), make_run("c", method="worse", noise=0.01)]
+    collection = collect([folder, *others])
+    found = table(collection, "ate-rooms")
+    assert [row.cells[0].text for row in found.rows] == ["good", "worse", "reconstruct"]
+    assert [row.cells[1].rank for row in found.rows] == [1, 2, None]
+    assert found.rows[-1].flags == ("given poses",)
+    assert any("not ranked" in note for note in found.notes)
+    rendering = {row.cells[0].text: row for row in table(collection, "rendering").rows}
+    assert all(cell.rank is None for cell in rendering["reconstruct"].cells)
+    assert any(cell.rank == 1 for cell in rendering["good"].cells)
+    assert "reconstruct" not in " ".join(tile.note for tile in tiles(collection, variants(collection)))
+    alone = collect([folder])
+    assert [t.name for t in build_tables(alone)] == [t.name for t in build_tables(collection)]
+    assert "ATE RMSE" not in [tile.name for tile in tiles(alone, variants(alone))]
 
 
 def test_equal_printed_values_share_a_rank():

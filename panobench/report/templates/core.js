@@ -7,6 +7,20 @@ const PB = {
     const palette = PB.css("--palette").split(/\s+/);
     return palette[index % palette.length];
   },
+  // Which line of its colour a legend's button stands for, 0 for the first: the others are dashed.
+  turn(button) {
+    const count = PB.css("--palette").split(/\s+/).length, colour = Number(button.dataset.colour);
+    const same = PB.all("[data-colour]", button.parentNode).filter(b => {
+      const other = Number(b.dataset.colour);
+      return colour < 0 ? other === colour : other >= 0 && other % count === colour % count;
+    });
+    return same.indexOf(button);
+  },
+  swatch(button) {
+    const colour = PB.colour(Number(button.dataset.colour)), turn = PB.turn(button);
+    const [line, gap] = button.dataset.colour === "-1" ? [3, 3] : [[24, 0], [7, 3], [4, 4], [10, 4], [2, 3]][turn % 5];
+    return `repeating-linear-gradient(90deg, ${colour} 0 ${line}px, transparent ${line}px ${line + gap}px)`;
+  },
   // Plotly reads a few HTML tags in texts; names from data must stay plain.
   plain(text) { return String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;"); },
   press(group, button) {
@@ -23,7 +37,7 @@ PB.theme = (() => {
     const dark = choice === "dark" || (choice === "auto" && system.matches);
     document.documentElement.dataset.theme = dark ? "dark" : "light";
     PB.press(group, group.querySelector(`[data-theme="${choice}"]`));
-    PB.all("[data-colour] > .swatch").forEach(s => { s.style.background = PB.colour(Number(s.parentNode.dataset.colour)); });
+    PB.all("[data-colour] > .swatch").forEach(s => { s.style.background = PB.swatch(s.parentNode); });
     PB.themeListeners.forEach(f => f());
   }
   let choice = stored();

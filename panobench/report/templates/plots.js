@@ -26,10 +26,12 @@ PB.plots = (() => {
       nticks: 5, ...axis, title: { ...axis.title, font: { size: 12, color: PB.css("--muted") } } };
   }
   // Repeats of a method share its colour; the second and later ones are dashed, as are colours used twice.
-  function dashOf(trace, figure) {
+  function dashOf(trace, figure, div) {
+    const place = div.closest("[data-place]");
+    const button = place && place.querySelector(`.legend [data-run="${trace.meta.run}"][data-colour]`);
     const same = figure.data.filter(t => t.line && t.meta.colour === trace.meta.colour).indexOf(trace);
     const round = Math.floor(trace.meta.colour / PB.css("--palette").split(/\s+/).length);
-    return ["solid", "dash", "dashdot", "longdash", "dot"][Math.max(same, round) % 5];
+    return ["solid", "dash", "dashdot", "longdash", "dot"][(button ? PB.turn(button) : Math.max(same, round)) % 5];
   }
   function styled(div, figure) {
     const hidden = hiddenRuns.get(div.closest("[data-place]")) || new Set();
@@ -40,7 +42,7 @@ PB.plots = (() => {
         if (Array.isArray(trace[k])) copy[k] = trace[k].map(v => typeof v === "string" ? PB.plain(v) : v);
       });
       if (FIELDS.includes(trace.type)) return copy; // these have colours of their own
-      if (trace.line) copy.line = { dash: truth ? "dot" : dashOf(trace, figure), color: colour, ...trace.line };
+      if (trace.line) copy.line = { dash: truth ? "dot" : dashOf(trace, figure, div), color: colour, ...trace.line };
       if ((trace.marker && trace.meta.run !== -3) || trace.type === "bar") copy.marker = { color: colour, ...trace.marker };
       return copy;
     });

@@ -56,5 +56,17 @@ PB.tables = (() => {
     bar.addEventListener("input", apply);
     apply();
   }
-  return { start() { PB.all(".table").forEach(box => { sortable(box.querySelector("table")); filterable(box); }); } };
+  // A table that goes on to the right fades out there.
+  function edged(scroll) {
+    const tell = () => {
+      const more = scroll.scrollWidth - scroll.clientWidth - scroll.scrollLeft > 4;
+      if (more) scroll.dataset.more = "right"; else delete scroll.dataset.more;
+    };
+    scroll.addEventListener("scroll", tell, { passive: true });
+    new ResizeObserver(tell).observe(scroll);
+  }
+  return { start() {
+    PB.all(".table").forEach(box => { sortable(box.querySelector("table")); filterable(box); });
+    PB.all(".scroll").forEach(edged);
+  } };
 })();

@@ -139,6 +139,8 @@ def test_the_bindings_are_driven_in_a_named_environment(
     run = run_method(OrbSlam3(config), sequence)
     assert len(run.estimate.trajectory) == 6
     assert run.estimate.keyframes == [0]
+    assert sorted(run.estimate.frames) == list(range(6))
+    assert all(0 <= numbers["program_tracking_s"] < 60 for numbers in run.estimate.frames.values())
     assert any("6 of 6 frames tracked live" in line for line in run.log)
 
 

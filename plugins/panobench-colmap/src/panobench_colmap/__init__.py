@@ -12,7 +12,7 @@ SPEC = MethodSpec(
     colour=False,
     licence="BSD-3-Clause",
     citation="Schoenberger, Frahm: Structure-from-Motion Revisited (CVPR 2016)",
-    install='pip install "panobench-colmap[run]"',
+    install='pip install "pycolmap>=4"',
     probe="panobench_colmap.method:missing",
     config="panobench_colmap.method:ColmapConfig",
     presets={"exhaustive": {"matcher": "exhaustive"}},

@@ -14,7 +14,7 @@ PYTHON = MethodSpec(
     colour=False,
     licence="GPL-3.0",
     citation=_CITATION,
-    install='pip install "panobench-orbslam3[run]"; apt install libgl1 libegl1 libopengl0 libsm6 libxext6',
+    install='pip install "pyorbslam3==0.1.1"; apt install libgl1 libegl1 libopengl0 libsm6 libice6 libx11-6 libxext6',
     probe="panobench_orbslam3.bindings:missing",
     config="panobench_orbslam3.settings:OrbSlam3Config",
     deterministic=False,

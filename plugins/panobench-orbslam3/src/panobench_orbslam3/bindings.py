@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import ClassVar
 
-from panobench import MethodContext
+from panobench import Estimate, MethodContext
 from panobench.datasets.base import Sequence
 from panobench.methods.external_findings import Finding, missing_libraries
 from panobench.methods.external_inputs import frame_rate, nanoseconds, opencv_yaml, write_images
@@ -67,6 +67,15 @@ class OrbSlam3(ExternalMethod):
     def set_up(self, sequence: Sequence, context: MethodContext) -> None:
         """A vocabulary that must be trained first is trained once, outside the run's own time."""
         find_vocabulary(self.config.vocabulary, sequence, context.log)
+
+    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+        """As the base class; the seconds of each call of its tracker join the frames."""
+        estimate = super().run(sequence, context)
+        times = context.work / "track_times.txt"
+        seconds = [float(line) for line in times.read_text().split()] if times.exists() else []
+        if len(seconds) == len(sequence):
+            estimate.frames = {i: {"program_tracking_s": s} for i, s in enumerate(seconds)}
+        return estimate
 
     def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
         work = context.work

@@ -1,4 +1,4 @@
-"""Runs inside the environment that has pyorbslam3 and numpy: feeds the images and saves the trajectories.
+"""Runs inside the environment that has pyorbslam3 and numpy: feeds the images, saves trajectories and tracking times.
 
 python track.py VOCABULARY WORK PACE; WORK holds settings.yaml, times.txt (nanoseconds) and images/<time>.png.
 """
@@ -68,15 +68,19 @@ def main(vocabulary: str, work: Path, pace: float) -> None:
     stamps = [line for line in (work / "times.txt").read_text().split() if line]
     slam = pyorbslam3.Slam(vocabulary, str(work / "settings.yaml"), pyorbslam3.Sensor.MONOCULAR, use_viewer=False)
     begin, tracked = time.perf_counter(), 0
+    seconds: list[float] = []
     for i, stamp in enumerate(stamps):
         image = read_grey(work / "images" / f"{stamp}.png")
         ahead = (int(stamp) - int(stamps[0])) * 1e-9 * pace - (time.perf_counter() - begin)
         if ahead > 0:
             time.sleep(ahead)
+        start = time.perf_counter()
         result = slam.track_monocular(image, int(stamp) * 1e-9)
+        seconds.append(time.perf_counter() - start)
         tracked += bool(result.pose_valid)
         print(f"frame {i}: {result.state}", flush=True)
     slam.shutdown()
+    (work / "track_times.txt").write_text("\n".join(f"{s:.6f}" for s in seconds) + "\n")
     print(f"{tracked} of {len(stamps)} frames tracked live", flush=True)
     if tracked:
         slam.save_trajectory_euroc(str(work / "frames.txt"))
