@@ -12,8 +12,9 @@ from typing import Any
 from panobench.bench.config import config_values, method_config
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
 from panobench.bench.opening import DEFAULT_DEPTH, method_spec, open_input
+from panobench.bench.outside import outside_files
 from panobench.bench.request import RunRequest
-from panobench.errors import InputError, PanobenchError, UsageError
+from panobench.errors import InputError, OutputError, PanobenchError, UsageError
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.plugins import registry
 from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, Spec
@@ -98,12 +99,13 @@ class Planner:
         self._code: dict[tuple[str, ...], str] = {}
 
     def plan(self, cell: Cell) -> Planned:
-        """Raises UsageError for options the method does not have: a mistake in the suite, not a result."""
+        """Raises UsageError for options the method does not have: a mistake in the suite, not a result; OutputError."""
         try:
             spec = method_spec(cell.request)
             config = method_config(spec, cell.request.preset, cell.request.settings)
             data = self._data_of(cell.request)
-        except UsageError:
+            files = outside_files(cell.request, spec, config)
+        except (UsageError, OutputError):  # a mistake in the suite; a cache that cannot be written
             raise
         except PanobenchError as error:
             return self._impossible(cell, error)
@@ -116,6 +118,8 @@ class Planner:
             "data": data,
             "protocol": PROTOCOL_VERSION,
         }
+        if files:
+            parts["files"] = files
         return Planned(cell, digest(parts))
 
     def _impossible(self, cell: Cell, error: PanobenchError) -> Planned:
@@ -136,7 +140,7 @@ class Planner:
                     "camera": sequence.camera.to_dict(),
                     "frames": len(sequence),
                 }
-            except UsageError:
+            except (UsageError, OutputError):
                 raise
             except PanobenchError as error:
                 self._data[key] = error
