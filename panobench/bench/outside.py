@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from panobench.bench.config import config_values
 from panobench.bench.opening import open_depth
 from panobench.bench.request import RunRequest
-from panobench.datasets.checksums import sha256_file
+from panobench.datasets.checksums import known_sha256
 from panobench.errors import InputError
 from panobench.plugins import registry
 from panobench.specs import MethodSpec, MetricSpec, load_object
@@ -83,12 +82,6 @@ def _file(text: str) -> Path | None:
 
 def _checksum(path: Path) -> str:
     try:
-        about = path.stat()
-        return _cached(path, about.st_size, about.st_mtime_ns)
+        return known_sha256(path)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", path) from error
-
-
-@cache
-def _cached(path: Path, size: int, changed: int) -> str:
-    return sha256_file(path)

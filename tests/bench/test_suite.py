@@ -17,11 +17,12 @@ import pytest
 
 from panobench.bench import isolated
 from panobench.bench.cells import Cell, Limits, Planned, Planner
-from panobench.bench.isolated import InfrastructureError, Stopper, run_isolated
+from panobench.bench.isolated import InfrastructureError, Stopper, judge, run_isolated
 from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import read_run_json
 from panobench.bench.store import Store, Stored
 from panobench.bench.suite import SuiteRunner, choose, make_plan, parse_retry
+from panobench.bench.supervisor import Result
 from panobench.errors import OutputError, UnknownNameError
 from panobench.types import RunStatus
 
@@ -252,6 +253,50 @@ def test_isolation(tmp_path: Path, method: str, limits: dict[str, float], status
         assert "fake_plugin.py" in log  # where it happened
     if status == "timeout":
         assert document["timing"]["wall_s"] >= 8.0
+
+
+@pytest.mark.slow
+def test_a_fork_bomb_ends_its_cell_alone_and_leaves_no_orphan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FAKE_PIDS", str(tmp_path / "pids"))
+    store = Store(tmp_path / "store")
+    cells = [cell("bomb", limits=Limits(timeout_s=300, processes=25)), cell()]
+    from panobench.bench.suite import compute
+
+    run(store, cells, compute=compute)
+    assert statuses(store, cells) == ["crashed", "ok"]
+    document = read_run_json(store.folder(cells[0]))
+    assert document["message"] == "killed when it had more than 25 processes"
+    assert document["isolation"]["peak_processes"] > 25
+    pids = (tmp_path / "pids").read_text().split()
+    assert len(pids) > 3
+    assert not [p for p in pids if Path(f"/proc/{p}").exists()]
+
+
+@pytest.mark.parametrize(
+    ("result", "status", "says"),
+    [
+        (Result("timeout"), "timeout", "after 3 s"),
+        (Result("out-of-memory"), "out-of-memory", "more than 2 GiB"),
+        (Result("processes"), "crashed", "more than 9 processes"),
+        (Result("stopped"), "interrupted", "interrupted"),
+        (Result(returncode=-9, oom_kill=True), "out-of-memory", "by the system"),
+        (Result(returncode=-9), "crashed", "signal 9 (SIGKILL)"),
+        (Result(returncode=-63), "crashed", "signal 63"),
+        (Result(returncode=3), "crashed", "exit code 3"),
+        (Result(returncode=0), "crashed", "before the run was complete"),
+    ],
+)
+def test_how_a_run_without_a_folder_is_judged(result: Result, status: str, says: str) -> None:
+    found, message = judge(result, cell(limits=Limits(timeout_s=3, memory_gib=2, processes=9)))
+    assert found.value == status
+    assert says in message
+
+
+def test_a_methods_own_memory_error_is_out_of_memory(tmp_path: Path) -> None:
+    store, cells = Store(tmp_path), [cell("exhausted"), cell()]
+    run(store, cells)
+    assert statuses(store, cells) == ["out-of-memory", "ok"]
+    assert read_run_json(store.folder(cells[0]))["message"].startswith("frame 2: MemoryError")
 
 
 @pytest.mark.slow
