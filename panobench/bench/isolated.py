@@ -25,6 +25,8 @@ from panobench.writing import disk_full, writing
 
 #: Seconds a run has to write what it tracked when the suite is interrupted.
 GRACE_S = 20.0
+#: In the environment of everything a run starts: the folder it works in.
+MARK = "PANOBENCH_RUN_PLACE"
 
 
 class InfrastructureError(PanobenchError):
@@ -87,15 +89,27 @@ def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stoppe
             [sys.executable, "-m", "panobench.bench.supervisor", str(supervised)],
             stdin=subprocess.DEVNULL,
             start_new_session=True,
+            env={**os.environ, MARK: str(place)},
         )
     with stopper.watching(process.terminate):
         process.wait()
     result = _read_result(place / "result.json")
     if result is None:
+        kill_marked(str(place))
         raise InfrastructureError(f"the supervisor of '{cell.label}' ended without a result ({process.returncode})")
     if result.returncode == DISK_FULL:
         raise disk_full(place)
     return _finish(cell, entry, place, out, result)
+
+
+def kill_marked(place: str) -> None:
+    """Kill what a run started when the supervisor that would have done so is gone itself (killed, say)."""
+    mark = f"{MARK}={place}".encode()
+    for _ in range(3):  # one that was just starting another may be missed once
+        for environment in Path("/proc").glob("[0-9]*/environ"):
+            with contextlib.suppress(OSError):
+                if mark in environment.read_bytes().split(b"\0"):
+                    os.kill(int(environment.parent.name), signal.SIGKILL)
 
 
 def _read_result(path: Path) -> Result | None:

@@ -324,6 +324,43 @@ def test_children_of_a_killed_run_are_gone(tmp_path: Path, monkeypatch: pytest.M
     assert not [p for p in pids if Path(f"/proc/{p}").exists()]
 
 
+@pytest.mark.slow
+def test_children_are_gone_too_when_their_supervisor_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FAKE_PIDS", str(tmp_path / "pids"))
+    (tmp_path / "place").mkdir()
+    found: list[Exception] = []
+
+    def go() -> None:
+        try:
+            run_isolated(cell("spawner"), {}, tmp_path / "place")
+        except InfrastructureError as error:
+            found.append(error)
+
+    thread = threading.Thread(target=go)
+    thread.start()
+    deadline = time.monotonic() + 120
+    while words_of(tmp_path / "pids") != 3 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    pids = [int(p) for p in (tmp_path / "pids").read_text().split()]
+    supervisors = processes(tmp_path / "place", b"panobench.bench.supervisor")
+    assert len(supervisors) == 1
+    os.kill(int(supervisors[0]), signal.SIGKILL)
+    thread.join(120)
+    assert "ended without a result (-9)" in str(found[0])
+    deadline = time.monotonic() + 60
+    while any(alive(p) for p in pids) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not [p for p in pids if alive(p)]
+
+
+def alive(pid: int) -> bool:
+    """Neither gone nor a zombie that nobody here can wait for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 def words_of(path: Path) -> int:
     return len(path.read_text().split()) if path.exists() else 0
 
@@ -353,13 +390,18 @@ def finished(tmp_path: Path) -> dict[str, tuple[int, str]]:
 
 def workers_of(tmp_path: Path) -> list[str]:
     """Processes that work for this store."""
+    return processes(tmp_path / "store", b"panobench.bench")
+
+
+def processes(place: Path, module: bytes) -> list[str]:
+    """Ids of processes whose command line names a path below ``place``, and a Python module."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             words = path.read_bytes().split(b"\0")
         except OSError:
             continue
-        if any(str(tmp_path / "store").encode() in w for w in words) and b"panobench.bench" in b" ".join(words):
+        if any(str(place).encode() in w for w in words) and module in b" ".join(words):
             found.append(path.parent.name)
     return found
 
