@@ -14,7 +14,7 @@ from panobench.bench.config import config_values
 from panobench.bench.opening import open_depth
 from panobench.bench.request import RunRequest
 from panobench.datasets.checksums import known_sha256
-from panobench.errors import InputError
+from panobench.errors import InputError, PanobenchError, UnavailableError
 from panobench.plugins import registry
 from panobench.specs import MethodSpec, MetricSpec, load_object
 
@@ -35,12 +35,23 @@ def outside_files(request: RunRequest, spec: MethodSpec, config: Any) -> dict[st
     if depth is not None:
         _add(found, "depth", _named(depth.spec.files, depth.argument, depth.name))
     for metric in registry().specs(MetricSpec).values():
-        _add(found, f"metric {metric.name}", _named(metric.files, None, metric.name))
+        try:
+            _add(found, f"metric {metric.name}", _named(metric.files, None, metric.name))
+        except PanobenchError as error:  # a metric that cannot be had leaves a note in the run, and does not end it
+            found[f"metric {metric.name}"] = str(error)
     return found
 
 
-def _named(function: str | None, argument: Any, name: str) -> Iterable[Path]:
-    return load_object(function, f"files of '{name}'")(argument) if function else ()
+def _named(function: str | None, argument: Any, name: str) -> list[Path]:
+    """What a spec's ``files`` says. Raises PanobenchError, whatever a stranger's function raises."""
+    if not function:
+        return []
+    try:
+        return [Path(path) for path in load_object(function, f"'{name}'")(argument)]
+    except PanobenchError:
+        raise
+    except Exception as error:
+        raise UnavailableError(f"{function} of '{name}' failed: {type(error).__name__}: {error}") from error
 
 
 def _program(spec: MethodSpec, config: Any) -> Iterable[Path]:
@@ -55,7 +66,7 @@ def _program(spec: MethodSpec, config: Any) -> Iterable[Path]:
 
 def _add(found: dict[str, str], what: str, paths: Iterable[Path]) -> None:
     for number, path in enumerate(paths):
-        found[f"{what} {number}"] = _checksum(Path(path))
+        found[f"{what} {number}"] = _checksum(path)
 
 
 def _texts(key: str, value: Any) -> Iterator[tuple[str, str]]:

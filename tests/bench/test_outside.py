@@ -85,4 +85,31 @@ def test_lpips_weights_count_once_they_are_there(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("PANOBENCH_LPIPS", str(tmp_path))
     first = plan().key
     (tmp_path / "alex.pth").write_bytes(b"c")
-    assert len({without, first, plan().key}) == 3
+    keys = {without, first, plan().key}
+    (tmp_path / "alex.pth").unlink()  # a wrong folder leaves a note in the run, and does not end it
+    assert plan().status is None
+    assert len({*keys, plan().key}) == 4
+
+
+@pytest.mark.parametrize(
+    ("answer", "status", "says"),
+    [
+        (lambda config: [__file__], None, ""),
+        (lambda config: ["/no/such/file"], RunStatus.UNAVAILABLE, "No such file"),
+        (lambda config: 1 / 0, RunStatus.UNAVAILABLE, "ZeroDivisionError"),
+    ],
+)
+def test_a_spec_names_its_files(answer: Any, status: Any, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import fake_plugin
+
+    from panobench.plugins import registry
+    from panobench.specs import MethodSpec
+
+    before = plan().key
+    monkeypatch.setattr(fake_plugin, "files", answer, raising=False)
+    spec = registry().get(MethodSpec, "fake-still")
+    object.__setattr__(spec, "files", "fake_plugin:files")
+    found = plan()
+    assert found.status is status
+    assert says in found.message
+    assert found.key != before
