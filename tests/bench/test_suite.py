@@ -162,6 +162,34 @@ def test_impossible_cells_are_rows(tmp_path: Path) -> None:
     assert make_plan(cells, store).todo == []
 
 
+def test_a_calibration_file_is_judged_for_each_method_by_itself(tmp_path: Path) -> None:
+    camera = tmp_path / "narrow.yaml"
+    camera.write_text("model: pinhole\nwidth: 64\nheight: 48\nfx: 40.0\nfy: 40.0\ncx: 32.0\ncy: 24.0\n")
+    planner = Planner()
+    found = [planner.plan(cell(method, camera=str(camera))) for method in ("options", "still", "options")]
+    assert [p.status for p in found] == [RunStatus.UNSUPPORTED, None, RunStatus.UNSUPPORTED]
+    assert "'fake-options' does not take pinhole images" in found[0].message
+
+
+def test_a_sequence_that_was_not_downloaded_is_a_row_and_a_wrong_built_in_name_a_mistake(tmp_path: Path) -> None:
+    import cv2
+    import numpy as np
+
+    folder = tmp_path / "data" / "here"
+    (folder / "images").mkdir(parents=True)
+    for number in range(2):
+        cv2.imwrite(str(folder / "images" / f"{number}.png"), np.zeros((32, 64, 3), np.uint8))
+    (folder / "camera.yaml").write_text("model: erp\nwidth: 64\nheight: 32\n")
+    (folder / "frames.csv").write_text("time,file\n0.0,images/0.png\n0.1,images/1.png\n")
+    data = {"dataset": "folder", "root": str(tmp_path / "data")}
+    here, gone = (Planner().plan(cell(sequence=name, **data)) for name in ("here", "gone"))
+    assert here.status is None
+    assert gone.status is RunStatus.UNAVAILABLE
+    assert "'gone'" in gone.message
+    with pytest.raises(UnknownNameError, match="rom1"):
+        Planner().plan(cell(dataset="rooms", sequence="rom1"))
+
+
 def test_a_raised_limit_is_a_reason(tmp_path: Path) -> None:
     def times_out(planned: Planned, suite: str, place: Path, stopper: Stopper) -> Path:
         from panobench.bench.failure import write_failure
