@@ -25,6 +25,8 @@ from panobench.writing import disk_full, writing
 
 #: Seconds a run has to write what it tracked when the suite is interrupted.
 GRACE_S = 20.0
+#: A run that prints more is ended, before it fills the disk for all.
+MAX_OUTPUT_BYTES = 256 << 20
 #: In the environment of everything a run starts: the folder it works in.
 MARK = "PANOBENCH_RUN_PLACE"
 
@@ -79,6 +81,7 @@ def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stoppe
                     "timeout_s": cell.limits.timeout_s,
                     "memory_bytes": cell.limits.memory_bytes,
                     "processes": cell.limits.processes,
+                    "output_bytes": MAX_OUTPUT_BYTES,
                     "grace_s": GRACE_S,
                     "parent": os.getpid(),
                 }
@@ -160,6 +163,8 @@ def judge(result: Result, cell: Cell) -> tuple[RunStatus, str]:
         return RunStatus.OUT_OF_MEMORY, f"killed when its processes held more than {limits.memory_gib:g} GiB"
     if result.end == "processes":
         return RunStatus.CRASHED, f"killed when it had more than {limits.processes:g} processes"
+    if result.end == "output":
+        return RunStatus.CRASHED, f"killed when it had printed more than {MAX_OUTPUT_BYTES >> 20} MiB"
     if result.end == "stopped":
         return RunStatus.INTERRUPTED, "interrupted"
     code = result.returncode or 0

@@ -306,6 +306,7 @@ def test_a_fork_bomb_ends_its_cell_alone_and_leaves_no_orphan(tmp_path: Path, mo
         (Result("timeout"), "timeout", "after 3 s"),
         (Result("out-of-memory"), "out-of-memory", "more than 2 GiB"),
         (Result("processes"), "crashed", "more than 9 processes"),
+        (Result("output"), "crashed", "printed more than 256 MiB"),
         (Result("stopped"), "interrupted", "interrupted"),
         (Result(returncode=-9, oom_kill=True), "out-of-memory", "by the system"),
         (Result(returncode=-9), "crashed", "signal 9 (SIGKILL)"),
