@@ -12,6 +12,7 @@ run goes on, so a long sequence takes no disk.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import resource
@@ -178,7 +179,9 @@ def leaks(options: argparse.Namespace) -> dict[str, Any]:
                 max_frames=options.frames, depth="constant" if options.method != "sparse" else None, seed=k,
             )  # fmt: skip
             execute(request, Path(work) / f"run{k}")
-            rows.append((process.num_fds(), process.num_threads(), threading.active_count(), rss_mib()))
+            gc.collect()
+            counts = (process.num_fds(), process.num_threads(), threading.active_count())
+            rows.append((*counts, rss_mib(), len(gc.get_objects())))
     first = rows[min(4, len(rows) - 1)]
     return {
         "what": "leaks",
@@ -188,6 +191,8 @@ def leaks(options: argparse.Namespace) -> dict[str, Any]:
         "threads": [first[1], rows[-1][1]],
         "python_threads": [first[2], rows[-1][2]],
         "rss_mib": [round(first[3], 1), round(rows[-1][3], 1)],
+        "rss_mib_each_fifth_run": [round(row[3], 1) for row in rows[4::5]],
+        "python_objects": [first[4], rows[-1][4]],
         "shared_memory_left": sorted(set(shared_memory()) - set(before)),
     }
 

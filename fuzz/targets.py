@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from mutate import Material
 
-from panobench.errors import PanobenchError
+from panobench.errors import InputError, PanobenchError
 
 Parse = Callable[[Path], object]
 
@@ -483,6 +483,99 @@ def _parse_suite(path: Path) -> None:
         assert json.dumps(cell.to_dict(), default=str)
 
 
+# -- depth networks and studies ------------------------------------------------------------------------------------
+
+_NETWORK = """width: 32
+height: 16
+projection: erp
+centre_deg: 90
+colour: bgr
+range: 255
+mean: [0.485, 0.456, 0.406]
+std: [0.229, 0.224, 0.225]
+layout: nchw
+output: depth
+meaning: inverse-distance
+metric: false
+scale: 1.0
+far: 100.0
+"""
+_IMAGE_NETWORK = "width: 32\nheight: 24\nprojection: image\nmeaning: z\nmetric: true\noutput: 1\n"
+
+
+def _parse_description(path: Path) -> None:
+    from panobench.depth.network_description import read_description
+
+    found = read_description(path.with_suffix(".onnx"))
+    assert found.width * found.height <= 1 << 26
+
+
+def _onnx_material() -> Material:
+    """A small network with its weights inside, and one that keeps them in a file beside it."""
+    from onnx import TensorProto, helper, numpy_helper
+
+    documents = []
+    for location in ("", "weights.bin"):
+        weights = numpy_helper.from_array(np.ones((1, 3, 1, 1), np.float32), "w")
+        if location:
+            weights.ClearField("raw_data")
+            weights.data_location = TensorProto.EXTERNAL
+            for key, value in (("location", location), ("offset", "0"), ("length", "12")):
+                weights.external_data.add(key=key, value=value)
+        graph = helper.make_graph(
+            [helper.make_node("Conv", ["image", "w"], ["c"]), helper.make_node("Relu", ["c"], ["depth"])],
+            "tiny",
+            [helper.make_tensor_value_info("image", TensorProto.FLOAT, (1, 3, 16, 32))],
+            [helper.make_tensor_value_info("depth", TensorProto.FLOAT, (1, 1, 16, 32))],
+            [weights],
+        )
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+        documents.append(model.SerializeToString())
+    words = b"Conv Relu Identity com.microsoft weights.bin ../weights.bin /etc/passwd location image depth w ai.onnx.ml"
+    return Material(tuple(documents), tuple(words.split()))
+
+
+def _onnx(folder: Path) -> Parse:
+    """The look into the file, and the runtime behind it."""
+    from panobench.depth.network_description import check_description
+    from panobench.depth.network_model import load_model
+
+    (folder / "weights.bin").write_bytes(np.ones(3, np.float32).tobytes())
+    description = check_description({"width": 32, "height": 16}, folder / "net.yaml")
+    return lambda path: load_model(path, description)
+
+
+_STUDY = {
+    "schema": 1, "name": "fov", "title": "Field of view", "notes": ["a note"], "captions": {"t": "A table. More."},
+    "tables": {"t": [{"field of view": "360", "ATE [mm] \u2193": 1.5, "PSNR [dB] \u2191": "/", "source": "published"},
+                     {"field of view": "90", "ATE [mm] \u2193": None, "PSNR [dB] \u2191": 30.0}]},
+    "figures": {"f": {"data": [{"x": [0, 1], "y": [1, 2], "type": "scatter"}], "layout": {"title": {"text": "x"}}}},
+    "provenance": {"command": "panobench study fov", "quick": True, "options": {"width": "64"}},
+}  # fmt: skip
+
+
+def _study(folder: Path) -> Parse:
+    """The reader, and what a report makes of it: exported tables, figures."""
+    from panobench.report.collect import collect
+    from panobench.report.exports import FORMATS
+    from panobench.report.studies import study_section
+    from panobench.report.tables import build_tables
+
+    def parse(path: Path) -> None:
+        found = collect([folder])
+        if found.problems:
+            raise InputError(str(found.problems[0]))
+        tables = build_tables(found)
+        for export in FORMATS.values():
+            export(tables)
+        for study in found.studies:
+            data: dict[str, dict[str, object]] = {"figures": {}}
+            study_section(0, study, data)
+            json.dumps(data, allow_nan=False)
+
+    return parse
+
+
 _YAML_WORDS = "model pinhole erp pal fisheye ds eucm omni cubemap width height fx cx k poly inv_poly r_min r_max mask "
 _MODELS = "PINHOLE SIMPLE_PINHOLE RADIAL OPENCV FULL_OPENCV OPENCV_FISHEYE FISHEYE EUCM EQUIRECTANGULAR"
 _TARGETS = (
@@ -524,6 +617,11 @@ _TARGETS = (
     Target("image", "image.png", _image_material, _plain(_parse_image)),
     Target("depth-npy", "depth.npy", _npy_material, _plain(_parse_npy)),
     Target("bag", "a.bag", _bag_material, _plain(_parse_bag)),
+    Target("network-yaml", "net.yaml", _text(_NETWORK, _IMAGE_NETWORK, words="width height erp image rgb nhwc z "
+           "distance log-distance metric true"), _plain(_parse_description)),
+    Target("onnx", "net.onnx", _onnx_material, _onnx),
+    Target("study-json", "fov/study.json", _text(json.dumps(_STUDY, indent=1), json.dumps(_STUDY), words='null true '
+           '"/" [] {} [1] {"a":1} "<script>" Infinity NaN 1e400'), _study),
 )  # fmt: skip
 TARGETS = {t.name: t for t in _TARGETS}
 

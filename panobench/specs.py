@@ -26,6 +26,9 @@ class Spec:
     implementation: "package.module:Name", imported on first use.
     requires:       import names that must be importable for it to run (checked without importing).
     probe:          "package.module:function" returning None when it can run here, else one line why not.
+    files:          "package.module:function" returning the files beside code and data that its results depend on,
+                    weights say: suites run a cell again when their content changes. It is called with a method's
+                    options, a depth estimator's argument, or None.
     """
 
     kind: ClassVar[str] = "spec"
@@ -35,6 +38,7 @@ class Spec:
     implementation: str
     requires: tuple[str, ...] = ()
     probe: str | None = None
+    files: str | None = None
 
     def load(self) -> Any:
         """The implementation object. Raises UnavailableError if an import it needs is missing."""

@@ -11,9 +11,10 @@ from typing import Any
 
 from panobench.bench.config import config_values, method_config
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
-from panobench.bench.opening import DEFAULT_DEPTH, method_spec, open_input
+from panobench.bench.opening import DEFAULT_DEPTH, check_kind, method_spec, open_input
+from panobench.bench.outside import outside_files
 from panobench.bench.request import RunRequest
-from panobench.errors import InputError, PanobenchError, UsageError
+from panobench.errors import DatasetError, InputError, OutputError, PanobenchError, UnknownNameError, UsageError
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.plugins import registry
 from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, Spec
@@ -98,12 +99,14 @@ class Planner:
         self._code: dict[tuple[str, ...], str] = {}
 
     def plan(self, cell: Cell) -> Planned:
-        """Raises UsageError for options the method does not have: a mistake in the suite, not a result."""
+        """Raises UsageError for options the method does not have: a mistake in the suite, not a result; OutputError."""
         try:
             spec = method_spec(cell.request)
             config = method_config(spec, cell.request.preset, cell.request.settings)
-            data = self._data_of(cell.request)
-        except UsageError:
+            data, kind = self._data_of(cell.request)
+            check_kind(kind, spec)
+            files = outside_files(cell.request, spec, config)
+        except (UsageError, OutputError):  # a mistake in the suite; a cache that cannot be written
             raise
         except PanobenchError as error:
             return self._impossible(cell, error)
@@ -116,6 +119,8 @@ class Planner:
             "data": data,
             "protocol": PROTOCOL_VERSION,
         }
+        if files:
+            parts["files"] = files
         return Planned(cell, digest(parts))
 
     def _impossible(self, cell: Cell, error: PanobenchError) -> Planned:
@@ -124,26 +129,36 @@ class Planner:
         status = RunStatus.UNAVAILABLE if isinstance(error, InputError) else RunStatus(error.run_status)
         return Planned(cell, digest([cell.identity, status.value, str(error)]), status, str(error))
 
-    def _data_of(self, request: RunRequest) -> Any:
-        """The sequence as it would be given to a method: its files' checksums, its camera, its length."""
+    def _data_of(self, request: RunRequest) -> tuple[Any, str]:
+        """The sequence as it would be given to any method (its files' checksums, camera, length); the camera's kind."""
         seen = ("dataset", "sequence", "root", "camera", "width", "fov", "every", "max_frames")
         key = digest([getattr(request, name) for name in seen])
         if key not in self._data:
             try:
-                sequence = open_input(request, registry().get(MethodSpec, request.method))
-                self._data[key] = {
-                    "provenance": data_fingerprint(sequence.provenance()),
-                    "camera": sequence.camera.to_dict(),
-                    "frames": len(sequence),
-                }
-            except UsageError:
+                self._data[key] = self._opened(request)
+            except (UsageError, OutputError):
                 raise
             except PanobenchError as error:
                 self._data[key] = error
         found = self._data[key]
         if isinstance(found, PanobenchError):
             raise found
-        return found
+        return found["data"], found["kind"]
+
+    def _opened(self, request: RunRequest) -> dict[str, Any]:
+        try:
+            sequence = open_input(request)
+        except UnknownNameError as error:
+            # Of data that people download, a part may be missing: a row, where a wrong built-in name is a mistake.
+            if "sequence" in error.kind and registry().get(DatasetSpec, request.dataset).needs_root:
+                raise DatasetError(str(error)) from error
+            raise
+        data = {
+            "provenance": data_fingerprint(sequence.provenance()),
+            "camera": sequence.camera.to_dict(),
+            "frames": len(sequence),
+        }
+        return {"data": data, "kind": sequence.camera.kind}
 
     def _code_of(self, request: RunRequest, spec: MethodSpec) -> str:
         known = registry()

@@ -122,6 +122,12 @@ class Comparison:
     def regression(self) -> bool:
         return bool(self.new_failures) or any(v.broken for v in self.verdicts)
 
+    @property
+    def unjudged(self) -> list[str]:
+        """Rules that no cell could be judged by: a gate that stays open whatever happens."""
+        judged = {v.rule.text for v in self.verdicts if v.change is not None}
+        return [text for text in dict.fromkeys(v.rule.text for v in self.verdicts) if text not in judged]
+
 
 def load_runs(path: Path) -> list[dict[str, Any]]:
     """Every run.json at or below ``path``, hidden and _folders left out. Raises InputError if damaged or none."""

@@ -25,6 +25,10 @@ from panobench.writing import disk_full, writing
 
 #: Seconds a run has to write what it tracked when the suite is interrupted.
 GRACE_S = 20.0
+#: A run that prints more is ended, before it fills the disk for all.
+MAX_OUTPUT_BYTES = 256 << 20
+#: In the environment of everything a run starts: the folder it works in.
+MARK = "PANOBENCH_RUN_PLACE"
 
 
 class InfrastructureError(PanobenchError):
@@ -77,6 +81,7 @@ def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stoppe
                     "timeout_s": cell.limits.timeout_s,
                     "memory_bytes": cell.limits.memory_bytes,
                     "processes": cell.limits.processes,
+                    "output_bytes": MAX_OUTPUT_BYTES,
                     "grace_s": GRACE_S,
                     "parent": os.getpid(),
                 }
@@ -87,15 +92,27 @@ def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stoppe
             [sys.executable, "-m", "panobench.bench.supervisor", str(supervised)],
             stdin=subprocess.DEVNULL,
             start_new_session=True,
+            env={**os.environ, MARK: str(place)},
         )
     with stopper.watching(process.terminate):
         process.wait()
     result = _read_result(place / "result.json")
     if result is None:
+        kill_marked(str(place))
         raise InfrastructureError(f"the supervisor of '{cell.label}' ended without a result ({process.returncode})")
     if result.returncode == DISK_FULL:
         raise disk_full(place)
     return _finish(cell, entry, place, out, result)
+
+
+def kill_marked(place: str) -> None:
+    """Kill what a run started when the supervisor that would have done so is gone itself (killed, say)."""
+    mark = f"{MARK}={place}".encode()
+    for _ in range(3):  # one that was just starting another may be missed once
+        for environment in Path("/proc").glob("[0-9]*/environ"):
+            with contextlib.suppress(OSError):
+                if mark in environment.read_bytes().split(b"\0"):
+                    os.kill(int(environment.parent.name), signal.SIGKILL)
 
 
 def _read_result(path: Path) -> Result | None:
@@ -146,6 +163,8 @@ def judge(result: Result, cell: Cell) -> tuple[RunStatus, str]:
         return RunStatus.OUT_OF_MEMORY, f"killed when its processes held more than {limits.memory_gib:g} GiB"
     if result.end == "processes":
         return RunStatus.CRASHED, f"killed when it had more than {limits.processes:g} processes"
+    if result.end == "output":
+        return RunStatus.CRASHED, f"killed when it had printed more than {MAX_OUTPUT_BYTES >> 20} MiB"
     if result.end == "stopped":
         return RunStatus.INTERRUPTED, "interrupted"
     code = result.returncode or 0

@@ -89,6 +89,11 @@ def check_camera(option: str, spec: MethodSpec) -> None:
     if "." in kind:
         return
     registry().get(CameraSpec, kind)
+    check_kind(kind, spec)
+
+
+def check_kind(kind: str, spec: MethodSpec) -> None:
+    """Raise UnsupportedError unless the method takes images of that kind of camera."""
     if kind not in spec.cameras:
         raise UnsupportedError(f"method '{spec.name}' does not take {kind} images; it takes {', '.join(spec.cameras)}")
 
@@ -96,10 +101,8 @@ def check_camera(option: str, spec: MethodSpec) -> None:
 def open_input(request: RunRequest, spec: MethodSpec | None = None) -> ChosenFrames:
     """The sequence through the camera asked for, the frames chosen."""
     sequence = _through_camera(request)
-    if spec is not None and sequence.camera.kind not in spec.cameras:
-        raise UnsupportedError(
-            f"method '{spec.name}' does not take {sequence.camera.kind} images; it takes {', '.join(spec.cameras)}"
-        )
+    if spec is not None:
+        check_kind(sequence.camera.kind, spec)
     return ChosenFrames(sequence, request.every, request.max_frames)
 
 

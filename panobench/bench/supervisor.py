@@ -4,10 +4,10 @@ The supervisor is the "child subreaper" of all that the command starts, so that 
 sessions, double forks) stay its own and are found and killed. It kills everything and ends when its parent dies.
 Only the standard library is imported: it must be small and quick to start.
 
-JOB.json: argv, cwd, output (file), result (file), timeout_s, memory_bytes, processes, grace_s.
-The result file: end ("exit", "timeout", "out-of-memory", "processes" or "stopped"), returncode (negative: signal),
-oom_kill (the kernel killed for lack of memory meanwhile), wall_s, cpu_s, peak_rss_bytes, peak_processes,
-peak_gpu_bytes.
+JOB.json: argv, cwd, output (file), result (file), timeout_s, memory_bytes, processes, output_bytes, grace_s.
+The result file: end ("exit", "timeout", "out-of-memory", "processes", "output" or "stopped"), returncode
+(negative: signal), oom_kill (the kernel killed for lack of memory meanwhile), wall_s, cpu_s, peak_rss_bytes,
+peak_processes, peak_gpu_bytes.
 """
 
 from __future__ import annotations
@@ -113,12 +113,21 @@ def _watch(child: subprocess.Popen[bytes], job: dict[str, Any], result: Result, 
             result.end = "out-of-memory"
         elif count > job["processes"]:
             result.end = "processes"
+        elif "output_bytes" in job and _size(job["output"]) > job["output_bytes"]:
+            result.end = "output"
         if result.end != "exit":
             return
         if os.getppid() != parent:
             raise Stopped
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(PERIOD_S)
+
+
+def _size(path: str) -> int:
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return 0
 
 
 def _ask_to_stop(child: subprocess.Popen[bytes], grace_s: float) -> None:

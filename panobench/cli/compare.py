@@ -1,7 +1,7 @@
 """`panobench compare BASE NEW --fail-on "ate>5%"`: a gate against regressions, for CI.
 
 Exit codes: 0 no rule is broken, 1 a regression (a broken rule, or a cell that fails more often than before),
-2 bad input or nothing to compare.
+2 bad input, nothing to compare, or a rule whose number no cell has on both sides.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ def compare(
 ) -> None:
     """Compare two sets of runs; exit code 1 on a regression."""
     from panobench.bench import compare as gate
+    from panobench.errors import InputError
 
     rules = [gate.Rule.parse(text) for text in fail_on or ()]
     found = gate.compare(gate.load_runs(base), gate.load_runs(new), rules)
@@ -38,6 +39,11 @@ def compare(
         print(_text(found, rules, markdown))
     if found.regression:
         raise typer.Exit(1)
+    if found.unjudged:
+        rule = found.unjudged[0]
+        raise InputError(
+            f"--fail-on '{rule}' judges nothing: no cell has that number on both sides; leave the rule out"
+        )
 
 
 def _document(found: Any) -> dict[str, Any]:

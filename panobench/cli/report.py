@@ -47,11 +47,14 @@ def report(
         hide_paths=hide_paths,
     )
     for problem in collection.problems:
-        print(f"warning: {problem.folder} is not readable: {problem.message}", file=sys.stderr)
+        print(f"panobench: warning: {problem.folder} is not readable: {problem.message}", file=sys.stderr)
     count = len(collection.runs)
     size = output.stat().st_size
     if output.suffix.lower() in (".html", ".htm") and size > max_mb * 1e6:
-        print(f"warning: the page is larger than {max_mb:g} MB even with its smallest pictures", file=sys.stderr)
+        print(
+            f"panobench: warning: the page is larger than {max_mb:g} MB even with its smallest pictures",
+            file=sys.stderr,
+        )
     amount = f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
     studies = len(collection.studies)
     also = f" and {studies} stud{'ies' if studies != 1 else 'y'}" if studies else ""

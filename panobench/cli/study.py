@@ -26,6 +26,7 @@ def study(
         list[str] | None, typer.Option(help="Run again what ended so: failed, or a status; repeatable.")
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the study's study.json, and nothing else.")] = False,
 ) -> None:
     """Regenerate one of the paper's tables or figures; `panobench report DIR` shows it."""
     from panobench.bench.config import parse_settings
@@ -35,6 +36,7 @@ def study(
     from panobench.specs import StudySpec
     from panobench.studies.base import StudyRequest
     from panobench.studies.perform import perform
+    from panobench.studies.stored import STUDY_JSON
 
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be at least 1")
@@ -45,10 +47,12 @@ def study(
         options=dict(parse_settings(set or ())),
         jobs=jobs,
         retry=parse_retry(retry or ()),
-        say=_quiet if quiet else _say,
+        say=_quiet if quiet or as_json else _say,
     )
     result = perform(spec, request)
-    if not quiet:
+    if as_json:
+        print((out / STUDY_JSON).read_text(encoding="utf-8"), end="")
+    elif not quiet:
         for table, rows in result.tables.items():
             print(f"{result.captions.get(table, table).split('. ')[0]}\n{_text(rows)}\n")
         print(f"panobench report {out} -o report.html")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,17 @@ def sha256_file(path: Path) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def known_sha256(path: Path) -> str:
+    """As ``sha256_file``, read once as long as size and time of change stay: planning asks for a file many times."""
+    about = path.stat()
+    return _known(path, about.st_size, about.st_mtime_ns, about.st_ino)
+
+
+@lru_cache(maxsize=100_000)
+def _known(path: Path, size: int, changed: int, inode: int) -> str:
+    return sha256_file(path)
 
 
 def sha256_bytes(data: bytes) -> str:
@@ -36,7 +48,7 @@ def files_provenance(files: list[Path]) -> dict[str, Any]:
     for i, (path, size) in enumerate(zip(files, sizes)):
         digest.update(f"{path.name}\0{size}\0".encode())
         if whole or i in (0, len(files) - 1):
-            digest.update(sha256_file(path).encode())
+            digest.update(known_sha256(path).encode())
     return {
         "files": len(files),
         "bytes": sum(sizes),

@@ -17,8 +17,9 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.reproject import Reprojector, sample_depth
 from panobench.cameras.views import look_rotation, upright_rotation
 from panobench.depth.base import DepthEstimator
-from panobench.depth.network_description import NetworkDescription, read_description
-from panobench.depth.network_model import NetworkModel, check_loadable, load_model
+from panobench.depth.network_description import NetworkDescription, description_path, read_description
+from panobench.depth.network_model import ONNX_SUFFIXES, NetworkModel, check_loadable, load_model
+from panobench.depth.onnx_file import check_contents, read_contents
 from panobench.errors import InputError, UsageError
 from panobench.types import DepthEstimate, Frame
 
@@ -78,6 +79,24 @@ class RoomsNetDepth(NetworkDepth):
 
     def _file(self) -> Path:
         return Path(__file__).parent / "weights" / "rooms-net.onnx"
+
+
+def network_files(argument: str) -> list[Path]:
+    """What ``network:FILE`` depends on; weights that an ONNX file keeps beside itself count too."""
+    return _files(NetworkDepth(argument).path)
+
+
+def rooms_net_files(argument: str) -> list[Path]:
+    """What ``rooms-net`` depends on."""
+    return _files(RoomsNetDepth(argument).path)
+
+
+def _files(network: Path) -> list[Path]:
+    beside: list[Path] = []
+    if network.suffix.lower() in ONNX_SUFFIXES:
+        check_contents(network)
+        beside = [network.parent / name for name in sorted(read_contents(network).external)]
+    return [network, description_path(network), *beside]
 
 
 class _View:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import io
 import os
 import zipfile
 from abc import ABC, abstractmethod
@@ -73,22 +75,26 @@ class OnnxModel(NetworkModel):
         options.log_severity_level = 4
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
-            self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            with contextlib.redirect_stdout(io.StringIO()):  # it prints banners about damaged files
+                self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            # also these: a name that is no text, for one, is noticed only when it is asked for
+            inputs = [(i.name, i.type, i.shape) for i in self._session.get_inputs()]
+            self._outputs = [o.name for o in self._session.get_outputs()]
         except Exception as error:  # onnxruntime has no common base class for its errors
             raise InputError(f"onnxruntime cannot load it: {one_line(error)}", path) from None
-        inputs = self._session.get_inputs()
         if len(inputs) != 1:
-            names = ", ".join(i.name for i in inputs)
+            names = ", ".join(name for name, _, _ in inputs)
             raise InputError(f"the network has {len(inputs)} inputs ({names}); export it with the image alone", path)
-        self._name, self._type = inputs[0].name, _INPUT_TYPES.get(inputs[0].type)
+        self._name, kind, shape = inputs[0]
+        self._type = _INPUT_TYPES.get(kind)
         if self._type is None:
-            raise InputError(f"the network's input is {inputs[0].type}; float32 or float16 is needed", path)
-        _check_shape(inputs[0].shape, description, path)
+            raise InputError(f"the network's input is {kind}; float32 or float16 is needed", path)
+        _check_shape(shape, description, path)
 
     def outputs(self, tensor: F32) -> dict[str | int, Any]:
         values = self._session.run(None, {self._name: tensor.astype(self._type)})
         out: dict[str | int, Any] = dict(enumerate(values))
-        out.update(zip((o.name for o in self._session.get_outputs()), values))
+        out.update(zip(self._outputs, values))
         return out
 
 

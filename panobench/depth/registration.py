@@ -25,11 +25,13 @@ DEPTH_ESTIMATORS: tuple[DepthSpec, ...] = (
         "an ONNX or TorchScript depth network with a YAML description beside it",
         "panobench.depth.network:NetworkDepth",
         argument="FILE",
+        files="panobench.depth.network:network_files",
     ),
     DepthSpec(
         "rooms-net",
         "a small network that comes along, trained on built-in rooms",
         "panobench.depth.network:RoomsNetDepth",
         requires=("onnxruntime",),
+        files="panobench.depth.network:rooms_net_files",
     ),
 )

@@ -24,6 +24,7 @@ from panobench.methods.external_findings import Finding, missing_libraries
 from panobench.methods.external_launch import Place, parse_place
 from panobench.methods.external_process import Finished, clean_environment, last_lines, log_tail, run_logged
 from panobench.methods.external_trajectory import TrajectoryFormat, read_answer
+from panobench.methods.external_vocabulary import named_vocabulary
 from panobench.methods.external_watch import guarded_folders, listing, strays
 from panobench.types import Estimate, RunStatus, Trajectory
 
@@ -113,6 +114,13 @@ class ExternalMethod(BatchMethod):
     def place(self) -> Place:
         """Where it runs. Raises UsageError for text that names no place."""
         return parse_place(self.config.run_in or os.environ.get(f"{self.variable}_RUN_IN", "") or "local")
+
+    def files(self) -> list[Path]:
+        """The program and the named vocabulary, whose content counts for suites; inside containers nothing is seen."""
+        place = self.place()
+        found = place.find(self.command()) if place.kind in ("local", "venv") else None
+        vocabulary = named_vocabulary(self.config.vocabulary) if hasattr(self.config, "vocabulary") else None
+        return [Path(p) for p in (found, vocabulary) if p is not None]
 
     @classmethod
     def missing(cls, config: ExternalConfig | None = None) -> str | None:

@@ -32,15 +32,24 @@ _MIN_SIZE = 64
 
 def find_lpips(notes: dict[str, str]) -> Lpips | None:
     """The metric if ``$PANOBENCH_LPIPS`` names its weights, else None and a note. Raises InputError for wrong files."""
-    folder = os.environ.get(VARIABLE)
-    if not folder:
+    files = weight_files()
+    if not files:
         notes["lpips"] = f"n/a: no weights; set {VARIABLE} to a folder with alexnet-owt-*.pth and alex.pth"
         return None
+    features, linear = files
+    return Lpips(_read(features), _read(linear))
+
+
+def weight_files(_: object = None) -> list[Path]:
+    """AlexNet's file and that of the linear layers; none if the variable is not set. Raises InputError."""
+    folder = os.environ.get(VARIABLE)
+    if not folder:
+        return []
     features = sorted(Path(folder).glob("alexnet*.pth"))
     linear = Path(folder) / "alex.pth"
     if not features or not linear.is_file():
         raise InputError("expected alexnet-owt-*.pth and alex.pth in the folder", folder)
-    return Lpips(_read(features[0]), _read(linear))
+    return [features[0], linear]
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -23,6 +23,7 @@ METRICS: tuple[MetricSpec, ...] = (
         "rendering",
         "three-view, panorama, held-out and novel-view image quality",
         "panobench.metrics.rendering:rendering_metrics",
+        files="panobench.metrics.lpips:weight_files",
         keys={
             "psnr_db": "higher",
             "ssim": "higher",

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from panobench.errors import InputError
+from panobench.reading import parse_json, read_text
 from panobench.studies.base import StudyResult
 from panobench.writing import write_whole
 
@@ -38,14 +39,7 @@ def write_study(folder: Path, result: StudyResult, provenance: Mapping[str, Any]
 def read_study(folder: Path) -> StoredStudy:
     """Raises InputError when ``folder/study.json`` is not one."""
     path = folder / STUDY_JSON
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"over {MAX_BYTES >> 20} MiB, too large for a study", path)
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", path) from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON ({error})", path) from None
+    document = parse_json(read_text(path, "the study", MAX_BYTES), path)
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise InputError(f"not a study this panobench can read (it reads schema {SCHEMA})", path)
     tables = {

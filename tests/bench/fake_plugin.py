@@ -150,6 +150,31 @@ class Hungry(Still):
         return super().track(frame)
 
 
+class Exhausted(Still):
+    """Its own allocation fails."""
+
+    def track(self, frame):
+        if frame.index == 2:
+            raise MemoryError
+        return super().track(frame)
+
+
+class Bomb(Still):
+    """Children that start children without end, each in a session of its own; they write their ids."""
+
+    def track(self, frame):
+        if frame.index == 2:
+            code = (
+                "import os, subprocess, sys, time\n"
+                "with open(os.environ['FAKE_PIDS'], 'a') as file: file.write(f'{os.getpid()}\\n')\n"
+                "for _ in range(3): subprocess.Popen([sys.executable, '-c', sys.argv[1], sys.argv[1]],"
+                " start_new_session=True)\n"
+                "time.sleep(600)"
+            )
+            subprocess.Popen([sys.executable, "-c", code, code], start_new_session=True).wait()
+        return super().track(frame)
+
+
 class Spawner(Still):
     """Starts children that would outlive it (in sessions of their own), writes their ids, then hangs."""
 
@@ -307,6 +332,8 @@ _METHODS = {
     "segfault": Segfault,
     "hungry": Hungry,
     "spawner": Spawner,
+    "exhausted": Exhausted,
+    "bomb": Bomb,
     "peeks": Peeks,
     "batch": Batch,
     "wants-depth": WantsDepth,

@@ -127,6 +127,10 @@ def test_the_command_and_its_exit_codes(tmp_path: Path, capsys: pytest.CaptureFi
     assert "| cell |" in capsys.readouterr().out
     assert panobench(["compare", str(base), str(worse), "--fail-on", "atr>5%"]) == 2
     assert panobench(["compare", str(base), str(tmp_path / "none")]) == 2
+    capsys.readouterr()
+    assert panobench(["compare", str(base), str(base), "--fail-on", "lpips>5%"]) == 2
+    assert "'lpips>5%' judges nothing" in capsys.readouterr().err
+    assert panobench(["compare", str(base), str(worse), "--fail-on", "lpips>5%", "--fail-on", "ate>5%"]) == 1
     (base / "runs" / "r0" / "run.json").write_text("{")
     assert panobench(["compare", str(base), str(worse)]) == 2
     assert "r0/run.json:1: not valid JSON" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -79,3 +80,21 @@ def test_data_count_by_content_not_by_place() -> None:
     there = {"root": "/b", "sha256": "1", "conversion": {"path": "/y", "scale": 2}}
     assert data_fingerprint(here) == data_fingerprint(there) == {"sha256": "1", "conversion": {"scale": 2}}
     assert digest({"a": 1, "b": 2}) == digest({"b": 2, "a": 1}) != digest({"a": 2, "b": 1})
+
+
+def test_files_are_read_once_while_a_suite_is_planned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from panobench.datasets import checksums
+
+    read: list[str] = []
+    plainly = checksums.sha256_file
+    monkeypatch.setattr(checksums, "sha256_file", lambda path: read.append(path.name) or plainly(path))
+    files = [tmp_path / name for name in ("a", "b")]
+    for path in files:
+        path.write_text("0123")
+    first = checksums.files_provenance(files)
+    assert checksums.files_provenance(files) == first
+    assert read == ["a", "b"]
+    files[1].write_text("4567")  # as long as before
+    os.utime(files[1], ns=(1, 1))
+    assert checksums.files_provenance(files)["sha256"] != first["sha256"]
+    assert read == ["a", "b", "b"]

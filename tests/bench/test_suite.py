@@ -17,11 +17,12 @@ import pytest
 
 from panobench.bench import isolated
 from panobench.bench.cells import Cell, Limits, Planned, Planner
-from panobench.bench.isolated import InfrastructureError, Stopper, run_isolated
+from panobench.bench.isolated import InfrastructureError, Stopper, judge, run_isolated
 from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import read_run_json
 from panobench.bench.store import Store, Stored
 from panobench.bench.suite import SuiteRunner, choose, make_plan, parse_retry
+from panobench.bench.supervisor import Result
 from panobench.errors import OutputError, UnknownNameError
 from panobench.types import RunStatus
 
@@ -161,6 +162,34 @@ def test_impossible_cells_are_rows(tmp_path: Path) -> None:
     assert make_plan(cells, store).todo == []
 
 
+def test_a_calibration_file_is_judged_for_each_method_by_itself(tmp_path: Path) -> None:
+    camera = tmp_path / "narrow.yaml"
+    camera.write_text("model: pinhole\nwidth: 64\nheight: 48\nfx: 40.0\nfy: 40.0\ncx: 32.0\ncy: 24.0\n")
+    planner = Planner()
+    found = [planner.plan(cell(method, camera=str(camera))) for method in ("options", "still", "options")]
+    assert [p.status for p in found] == [RunStatus.UNSUPPORTED, None, RunStatus.UNSUPPORTED]
+    assert "'fake-options' does not take pinhole images" in found[0].message
+
+
+def test_a_sequence_that_was_not_downloaded_is_a_row_and_a_wrong_built_in_name_a_mistake(tmp_path: Path) -> None:
+    import cv2
+    import numpy as np
+
+    folder = tmp_path / "data" / "here"
+    (folder / "images").mkdir(parents=True)
+    for number in range(2):
+        cv2.imwrite(str(folder / "images" / f"{number}.png"), np.zeros((32, 64, 3), np.uint8))
+    (folder / "camera.yaml").write_text("model: erp\nwidth: 64\nheight: 32\n")
+    (folder / "frames.csv").write_text("time,file\n0.0,images/0.png\n0.1,images/1.png\n")
+    data = {"dataset": "folder", "root": str(tmp_path / "data")}
+    here, gone = (Planner().plan(cell(sequence=name, **data)) for name in ("here", "gone"))
+    assert here.status is None
+    assert gone.status is RunStatus.UNAVAILABLE
+    assert "'gone'" in gone.message
+    with pytest.raises(UnknownNameError, match="rom1"):
+        Planner().plan(cell(dataset="rooms", sequence="rom1"))
+
+
 def test_a_raised_limit_is_a_reason(tmp_path: Path) -> None:
     def times_out(planned: Planned, suite: str, place: Path, stopper: Stopper) -> Path:
         from panobench.bench.failure import write_failure
@@ -255,6 +284,51 @@ def test_isolation(tmp_path: Path, method: str, limits: dict[str, float], status
 
 
 @pytest.mark.slow
+def test_a_fork_bomb_ends_its_cell_alone_and_leaves_no_orphan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FAKE_PIDS", str(tmp_path / "pids"))
+    store = Store(tmp_path / "store")
+    cells = [cell("bomb", limits=Limits(timeout_s=300, processes=25)), cell()]
+    from panobench.bench.suite import compute
+
+    run(store, cells, compute=compute)
+    assert statuses(store, cells) == ["crashed", "ok"]
+    document = read_run_json(store.folder(cells[0]))
+    assert document["message"] == "killed when it had more than 25 processes"
+    assert document["isolation"]["peak_processes"] > 25
+    pids = (tmp_path / "pids").read_text().split()
+    assert len(pids) > 3
+    assert not [p for p in pids if Path(f"/proc/{p}").exists()]
+
+
+@pytest.mark.parametrize(
+    ("result", "status", "says"),
+    [
+        (Result("timeout"), "timeout", "after 3 s"),
+        (Result("out-of-memory"), "out-of-memory", "more than 2 GiB"),
+        (Result("processes"), "crashed", "more than 9 processes"),
+        (Result("output"), "crashed", "printed more than 256 MiB"),
+        (Result("stopped"), "interrupted", "interrupted"),
+        (Result(returncode=-9, oom_kill=True), "out-of-memory", "by the system"),
+        (Result(returncode=-9), "crashed", "signal 9 (SIGKILL)"),
+        (Result(returncode=-63), "crashed", "signal 63"),
+        (Result(returncode=3), "crashed", "exit code 3"),
+        (Result(returncode=0), "crashed", "before the run was complete"),
+    ],
+)
+def test_how_a_run_without_a_folder_is_judged(result: Result, status: str, says: str) -> None:
+    found, message = judge(result, cell(limits=Limits(timeout_s=3, memory_gib=2, processes=9)))
+    assert found.value == status
+    assert says in message
+
+
+def test_a_methods_own_memory_error_is_out_of_memory(tmp_path: Path) -> None:
+    store, cells = Store(tmp_path), [cell("exhausted"), cell()]
+    run(store, cells)
+    assert statuses(store, cells) == ["out-of-memory", "ok"]
+    assert read_run_json(store.folder(cells[0]))["message"].startswith("frame 2: MemoryError")
+
+
+@pytest.mark.slow
 def test_children_of_a_killed_run_are_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FAKE_PIDS", str(tmp_path / "pids"))
     monkeypatch.setattr(isolated, "GRACE_S", 6.0)
@@ -277,6 +351,43 @@ def test_children_of_a_killed_run_are_gone(tmp_path: Path, monkeypatch: pytest.M
     while any(Path(f"/proc/{p}").exists() for p in pids) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not [p for p in pids if Path(f"/proc/{p}").exists()]
+
+
+@pytest.mark.slow
+def test_children_are_gone_too_when_their_supervisor_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FAKE_PIDS", str(tmp_path / "pids"))
+    (tmp_path / "place").mkdir()
+    found: list[Exception] = []
+
+    def go() -> None:
+        try:
+            run_isolated(cell("spawner"), {}, tmp_path / "place")
+        except InfrastructureError as error:
+            found.append(error)
+
+    thread = threading.Thread(target=go)
+    thread.start()
+    deadline = time.monotonic() + 120
+    while words_of(tmp_path / "pids") != 3 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    pids = [int(p) for p in (tmp_path / "pids").read_text().split()]
+    supervisors = processes(tmp_path / "place", b"panobench.bench.supervisor")
+    assert len(supervisors) == 1
+    os.kill(int(supervisors[0]), signal.SIGKILL)
+    thread.join(120)
+    assert "ended without a result (-9)" in str(found[0])
+    deadline = time.monotonic() + 60
+    while any(alive(p) for p in pids) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not [p for p in pids if alive(p)]
+
+
+def alive(pid: int) -> bool:
+    """Neither gone nor a zombie that nobody here can wait for."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def words_of(path: Path) -> int:
@@ -308,13 +419,18 @@ def finished(tmp_path: Path) -> dict[str, tuple[int, str]]:
 
 def workers_of(tmp_path: Path) -> list[str]:
     """Processes that work for this store."""
+    return processes(tmp_path / "store", b"panobench.bench")
+
+
+def processes(place: Path, module: bytes) -> list[str]:
+    """Ids of processes whose command line names a path below ``place``, and a Python module."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             words = path.read_bytes().split(b"\0")
         except OSError:
             continue
-        if any(str(tmp_path / "store").encode() in w for w in words) and b"panobench.bench" in b" ".join(words):
+        if any(str(place).encode() in w for w in words) and module in b" ".join(words):
             found.append(path.parent.name)
     return found
 

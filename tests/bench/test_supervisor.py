@@ -142,6 +142,16 @@ def test_a_fork_bomb_ends(tmp_path: Path) -> None:
     assert result["peak_processes"] > 40
 
 
+def test_a_flood_of_output_ends(tmp_path: Path) -> None:
+    code = "import sys\nwhile True: sys.stdout.write('x' * 100_000)"
+    result = supervise(tmp_path, code, output_bytes=5 * MIB)
+    assert result["end"] == "output"
+    assert (tmp_path / "output").stat().st_size > 5 * MIB
+    (tmp_path / "output").unlink()
+    quiet = supervise(tmp_path, "print('x' * 1000)", output_bytes=5 * MIB)
+    assert (quiet["end"], quiet["returncode"]) == ("exit", 0)
+
+
 def test_nothing_survives_the_end_of_the_command(tmp_path: Path) -> None:
     pids = tmp_path / "pids"
     result = supervise(tmp_path, SPAWN, str(pids))

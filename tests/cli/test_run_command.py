@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -148,6 +149,23 @@ def test_starting_does_not_import_heavy_modules(arguments: list[str]) -> None:
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, env=env)
     assert done.returncode == 0, done.stderr
     assert done.stdout.rstrip().endswith("[]")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["list"]])
+def test_starting_takes_under_half_a_second_of_processor_time(arguments: list[str]) -> None:
+    """Not of wall-clock time, which a busy machine stretches. The least of three: the first may compile modules."""
+    import panobench as package
+
+    env = {**os.environ, "PYTHONPATH": str(Path(package.__file__).parents[1])}  # without the test plugin
+    used = []
+    for _ in range(3):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        subprocess.run(
+            [sys.executable, "-m", "panobench.cli.main", *arguments], env=env, check=True, capture_output=True
+        )
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        used.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    assert min(used) < 0.5
 
 
 def test_list_shows_origin_and_whether_it_can_run(capsys: pytest.CaptureFixture[str]) -> None:

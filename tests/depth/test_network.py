@@ -252,6 +252,22 @@ def test_damaged_onnx_files_give_one_clean_error(tmp_path: Path) -> None:
     assert failed > 30
 
 
+def test_the_runtime_prints_nothing_about_a_file_it_cannot_load(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = describe(write_onnx(tmp_path / "tiny.onnx"))
+    refused = 0
+    for name in (b"conv", b"depth", b"image", b"tiny", b"Identity"):
+        whole = write_onnx(network).read_bytes()
+        network.write_bytes(whole.replace(name, b"\x97" + name[1:]))
+        try:
+            answer(network, ErpCamera(32, 16))
+        except InputError:
+            refused += 1
+    assert refused > 1
+    assert capsys.readouterr().out == ""
+
+
 def test_a_large_file_is_refused_unread(tmp_path: Path) -> None:
     network = describe(tmp_path / "huge.onnx")
     with network.open("wb") as file:

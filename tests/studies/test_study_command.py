@@ -35,6 +35,9 @@ def test_a_study_runs_resumes_and_is_reported(tmp_path: Path, fake_plugin: Path,
     assert "Accuracy against field of view\nMethod" in first.out
     assert cli(command) == 0
     assert "running" not in capsys.readouterr().err
+    assert cli([*command, "--json"]) == 0
+    printed = capsys.readouterr()
+    assert (json.loads(printed.out)["name"], printed.err) == ("fov", "")
     stored = read_study(out)
     assert stored.provenance["quick"] is True
     assert stored.provenance["command"].startswith("panobench study fov --out")

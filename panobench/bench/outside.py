@@ -1,0 +1,98 @@
+"""Files beside code and data that a result depends on: networks, weights, vocabularies, other people's programs.
+
+They count by content, as code and data do: a network that is trained again under its old name gives new results.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from panobench.bench.config import config_values
+from panobench.bench.opening import open_depth
+from panobench.bench.request import RunRequest
+from panobench.datasets.checksums import known_sha256
+from panobench.errors import InputError, PanobenchError, UnavailableError
+from panobench.plugins import registry
+from panobench.specs import MethodSpec, MetricSpec, load_object
+
+
+def outside_files(request: RunRequest, spec: MethodSpec, config: Any) -> dict[str, str]:
+    """What for -> SHA-256 of a file's content, for all files that a run reads besides code and data.
+
+    Files are named by a method's options, by a spec's ``files`` function, and by adapters of other programs. Where
+    a file lies does not count. Raises a PanobenchError for a depth estimator that cannot be had.
+    """
+    found: dict[str, str] = {}
+    for key, text in _texts("", config_values(config)):
+        path = _file(text)
+        if path is not None:
+            found[f"option {key}"] = _checksum(path)
+    _add(found, "method", [*_named(spec.files, config, spec.name), *_program(spec, config)])
+    depth = open_depth(request.depth) if request.depth is not None else None
+    if depth is not None:
+        _add(found, "depth", _named(depth.spec.files, depth.argument, depth.name))
+    for metric in registry().specs(MetricSpec).values():
+        try:
+            _add(found, f"metric {metric.name}", _named(metric.files, None, metric.name))
+        except PanobenchError as error:  # a metric that cannot be had leaves a note in the run, and does not end it
+            found[f"metric {metric.name}"] = str(error)
+    return found
+
+
+def _named(function: str | None, argument: Any, name: str) -> list[Path]:
+    """What a spec's ``files`` says. Raises PanobenchError, whatever a stranger's function raises."""
+    if not function:
+        return []
+    try:
+        return [Path(path) for path in load_object(function, f"'{name}'")(argument)]
+    except PanobenchError:
+        raise
+    except Exception as error:
+        raise UnavailableError(f"{function} of '{name}' failed: {type(error).__name__}: {error}") from error
+
+
+def _program(spec: MethodSpec, config: Any) -> Iterable[Path]:
+    """The program of an adapter, for all that derive from ``ExternalMethod``."""
+    from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod
+
+    if not isinstance(config, ExternalConfig):
+        return ()
+    method = spec.load()(config)
+    return method.files() if isinstance(method, ExternalMethod) else ()
+
+
+def _add(found: dict[str, str], what: str, paths: Iterable[Path]) -> None:
+    for number, path in enumerate(paths):
+        found[f"{what} {number}"] = _checksum(path)
+
+
+def _texts(key: str, value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, str):
+        yield key, value
+    elif isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _texts(f"{key}.{name}" if key else str(name), inner)
+    elif isinstance(value, (list, tuple)):
+        for number, inner in enumerate(value):
+            yield from _texts(f"{key}.{number}", inner)
+
+
+def _file(text: str) -> Path | None:
+    """The file that an option names, if it names one that is there; a bare word is a choice, not a file."""
+    if os.sep not in text:
+        return None
+    try:
+        path = Path(text).expanduser()
+        return path if path.is_file() else None
+    except (OSError, ValueError, RuntimeError):  # too long, a zero byte, the home of nobody
+        return None
+
+
+def _checksum(path: Path) -> str:
+    try:
+        return known_sha256(path)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", path) from error
