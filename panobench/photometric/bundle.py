@@ -17,7 +17,11 @@ from numpy.typing import NDArray
 from panobench.geometry import renormalise, se3_exp
 from panobench.photometric.pyramid import F32
 from panobench.photometric.warp import sample, to_pixel
-from panobench.splat.kernel_options import PARALLEL
+from panobench.splat.kernel_options import JIT, PARALLEL
+
+
+#: Runs of pixels whose sums are taken apart: the same for every number of threads, so that the sums are too.
+_BLOCKS = 16
 
 
 @dataclass(frozen=True)
@@ -37,20 +41,18 @@ class BundleOptions:
     depth_edge: float = 1.1
 
 
-@njit(**PARALLEL)
-def _residuals(value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size):  # type: ignore[no-untyped-def]
-    """Normal equations of every pixel. Hpd (P, F, 6), Hdd, bd (P,), Hpp (P, F, 21), bp (P, F, 6), cost (P,),
-    size (P, F): |residual|, NaN where unseen.
-    """
-    for p in prange(len(value)):
+@njit(**JIT)
+def _residuals_of(  # type: ignore[no-untyped-def]
+    block, first, last, value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size
+):
+    """Pixels ``first`` to ``last`` - 1 of ``_residuals``."""
+    for p in range(first, last):
         d = np.exp(log_depth[p])
         hdd, b, c = 0.0, 0.0, 0.0
         for f in range(frames.shape[0]):
             image = frames[f]
             for i in range(6):
-                Hpd[p, f, i], bp[p, f, i] = 0.0, 0.0
-            for i in range(21):
-                Hpp[p, f, i] = 0.0
+                Hpd[p, f, i] = 0.0
             size[p, f] = np.nan
             qx = d * (R[f, 0, 0] * rays[p, 0] + R[f, 0, 1] * rays[p, 1] + R[f, 0, 2] * rays[p, 2])
             qy = d * (R[f, 1, 0] * rays[p, 0] + R[f, 1, 1] * rays[p, 1] + R[f, 1, 2] * rays[p, 2])
@@ -91,11 +93,25 @@ def _residuals(value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd,
             k = 0
             for i in range(6):
                 Hpd[p, f, i] = w * J[i] * jd
-                bp[p, f, i] = w * J[i] * r
+                bp[block, f, i] += w * J[i] * r
                 for j in range(i, 6):
-                    Hpp[p, f, k] = w * J[i] * J[j]
+                    Hpp[block, f, k] += w * J[i] * J[j]
                     k += 1
         Hdd[p], bd[p], cost[p] = hdd, b, c
+
+
+@njit(**PARALLEL)
+def _residuals(value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size):  # type: ignore[no-untyped-def]
+    """Normal equations. Of every pixel: Hpd (P, F, 6), Hdd, bd (P,), cost (P,), size (P, F): |residual|, NaN where
+    unseen; summed over runs of pixels: Hpp (B, F, 21), bp (B, F, 6).
+    """
+    blocks = Hpp.shape[0]
+    share = (len(value) + blocks - 1) // blocks
+    for block in prange(blocks):
+        _residuals_of(
+            block, block * share, min((block + 1) * share, len(value)),
+            value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size,
+        )  # fmt: skip
 
 
 def select_pixels(
@@ -143,7 +159,7 @@ def refine(
     upper = np.triu_indices(6)
 
     def linearise(T: NDArray[np.float64], s: NDArray[np.float64]) -> tuple[NDArray, ...]:
-        Hpd, bp, Hpp = np.empty((n, F, 6)), np.empty((n, F, 6)), np.empty((n, F, 21))
+        Hpd, bp, Hpp = np.empty((n, F, 6)), np.zeros((_BLOCKS, F, 6)), np.zeros((_BLOCKS, F, 21))
         Hdd, bd, cost, size = np.empty(n), np.empty(n), np.empty(n), np.empty((n, F), np.float32)
         R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
         _residuals(value, r, s, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size)
@@ -166,7 +182,8 @@ def refine(
             H[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] = block + np.triu(block, 1).T
         H[np.diag_indices(6 * F)] *= 1 + damping
         inverse = 1.0 / (Hdd * (1 + damping) + 1e-6)
-        A = H - Hpd.T @ (Hpd * inverse[:, None]) + 1e-9 * np.trace(H) / len(H) * np.eye(len(H))
+        whitened = Hpd * np.sqrt(inverse)[:, None]
+        A = H - whitened.T @ whitened + 1e-9 * np.trace(H) / len(H) * np.eye(len(H))
         x = np.linalg.solve(A, -(bp - Hpd.T @ (inverse * bd)))
         ds = np.clip(-inverse * (bd + Hpd @ x), -0.3, 0.3)
         T_new, s_new = renormalise(se3_exp(x.reshape(F, 6)) @ T), s + ds

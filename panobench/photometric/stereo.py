@@ -92,8 +92,8 @@ def multi_view_depth(
     n, half = len(images), len(images) // 2
     if half >= o.half_min:
         early, late = costs(0, half), costs(half, n)
+        early, late = (smooth_cost(c, o.sigma_px, wrap) for c in (early, late))
         cost = (early * np.float32(half / n)) + late * np.float32(1 - half / n)
-        cost, early, late = (smooth_cost(c, o.sigma_px, wrap) for c in (cost, early, late))
         prefer_early(cost, early, late, np.float32(o.half_ratio), np.float32(o.half_margin))
     else:
         cost = smooth_cost(costs(0, n), o.sigma_px, wrap)

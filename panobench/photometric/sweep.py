@@ -220,15 +220,48 @@ def pick_shell(total, log_depth0, log_step, depth, confidence):  # type: ignore[
             confidence[y, x] = 1 - c[k] / max(second, np.float32(1e-12))
 
 
+@njit(**PARALLEL)
+def _smooth_rows(cost, kernel, wrap, out):  # type: ignore[no-untyped-def]
+    """Weighted sum of the neighbours in a row; rows of a panorama wrap, others repeat their ends."""
+    h, w, n = cost.shape
+    reach = len(kernel) // 2
+    for y in prange(h):
+        for x in range(w):
+            total = out[y, x]
+            for k in range(n):
+                total[k] = np.float32(0)
+            for i in range(-reach, reach + 1):
+                q = x + i
+                if wrap:
+                    q = (q + w) % w
+                else:
+                    q = min(max(q, 0), w - 1)
+                weight, c = kernel[i + reach], cost[y, q]
+                for k in range(n):
+                    total[k] += weight * c[k]
+
+
+@njit(**PARALLEL)
+def _smooth_columns(cost, kernel, out):  # type: ignore[no-untyped-def]
+    h, w, n = cost.shape
+    reach = len(kernel) // 2
+    for y in prange(h):
+        for x in range(w):
+            total = out[y, x]
+            for k in range(n):
+                total[k] = np.float32(0)
+            for i in range(-reach, reach + 1):
+                weight, c = kernel[i + reach], cost[min(max(y + i, 0), h - 1), x]
+                for k in range(n):
+                    total[k] += weight * c[k]
+
+
 def smooth_cost(cost: NDArray[np.float32], sigma: float, wrap: bool) -> F32:
     """Gaussian aggregation of a cost volume (H, W, D) over (H, W), across the seam of a panorama."""
-    import cv2
-
-    pad = int(np.ceil(3 * sigma))
-    wide = np.concatenate([cost[:, -pad:], cost, cost[:, :pad]], axis=1) if wrap else cost
-    out = np.empty_like(wide)
-    for k in range(0, cost.shape[2], 4):  # cv2 filters up to four channels at a time
-        part = np.ascontiguousarray(wide[:, :, k : k + 4])
-        blurred = cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-        out[:, :, k : k + 4] = blurred.reshape(part.shape)
-    return np.ascontiguousarray(out[:, pad:-pad] if wrap else out)
+    reach = min(int(np.ceil(4 * sigma)), cost.shape[1] - 1)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    kernel = (kernel / kernel.sum()).astype(np.float32)
+    rows, out = np.empty_like(cost), np.empty_like(cost)
+    _smooth_rows(cost, kernel, wrap, rows)
+    _smooth_columns(rows, kernel, out)
+    return out

@@ -47,7 +47,9 @@ class Quantity:
 
 
 RENDERING = (
-    Quantity("psnr_db", "PSNR", "dB", "higher", about="three 120 x 60 degree views per pose, cut from render and frame alike"),
+    Quantity(
+        "psnr_db", "PSNR", "dB", "higher", about="three 120 x 60 degree views per pose, cut from render and frame alike"
+    ),
     Quantity("ssim", "SSIM", "", "higher", digits=3, about="same three views"),
     Quantity("lpips", "LPIPS", "", "lower", digits=3, about="same three views; needs the user's AlexNet weights"),
     Quantity("pano_psnr_db", "Pano PSNR", "dB", "higher", about="the panorama itself, frames that were mapped"),

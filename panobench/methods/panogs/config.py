@@ -67,6 +67,7 @@ class PanogsConfig:
     densify: bool = True  # seeds follow the detail of the image, and discs too coarse for it are split
     split_error: float = 0.06  # colour error over a disc's pixels from which it is split, and its least size there
     split_size_px: float = 1.0
+    split_new: float = 0.02  # with more of the image unknown or wrong nothing is split: that is not for want of detail
     prune_opacity: float = 0.05
     final_iterations: int = 0
     # Depth of the first frame when the run names no estimator

@@ -42,6 +42,7 @@ class Mapper:
         self.window: list[View] = []
         self.keyframes: list[View] = []
         self.frames: list[View] = []
+        self.split_count = 0
         self.todo: deque[View] = deque()
         self.median_depth = 1.0
         valid = int(np.count_nonzero(camera.valid_mask()))
@@ -104,14 +105,23 @@ class Mapper:
         behind = deep / np.maximum(there, 1e-6)
         return self._drop((there > _CARVE_SHARE * anywhere) & (there > 1e-3) & (distance < _CARVE_BEFORE * behind))
 
-    def split(self, view: View, render: RenderOutput, renderer: Renderer) -> int:
-        """Halve what is too coarse for ``view``; ``render``: ``renderer``'s last, there. Returns how many."""
+    def split(
+        self, view: View, render: RenderOutput, renderer: Renderer, known: NDArray[np.bool_] | None = None
+    ) -> int:
+        """Halve what is too coarse for ``view``; returns how many.
+
+        render: ``renderer``'s last, there; known (H, W): pixels where the map's surface is believed to be right. All
+        splits together add at most as many Gaussians as a first image gets.
+        """
         error = np.abs(render.colour - view.image / np.float32(255)).mean(axis=-1)
         # What is thin gets new Gaussians instead; exactly no error is rare enough to mean "not looked at".
         error = np.where((self.weights > 0) & (render.opacity > 0.9), error, 0).astype(np.float32)
-        which = too_coarse(renderer, self.map, view.position, error, self.split_rule)
+        if known is not None:
+            error *= known
+        which = too_coarse(renderer, self.map, view.position, error, self.split_rule)[: self.count - self.split_count]
         if len(which) == 0:
             return 0
+        self.split_count += len(which)
         self.map = self.map.concat(halves(self.map, which))
         self.adam.extend(2 * len(which))
         self.born = np.concatenate([self.born, self.born[which], self.born[which]])

@@ -162,8 +162,8 @@ class PanogsMethod(OnlineMethod):
             m.remember(view)
             return False
         m.add_keyframe(view, update_window(m.window, view, self.config.window))
-        if self.config.densify:
-            m.split(view, tracked.render, self.track_renderer)
+        if self.config.densify and new_share < self.config.split_new:
+            m.split(view, tracked.render, self.track_renderer, ~unknown)
         before = len(m.map)
         record = self.records[frame.index]
         record.anchor, record.relative = view, np.eye(4)
@@ -172,6 +172,8 @@ class PanogsMethod(OnlineMethod):
             m.insert(view, tracked.render)
         grown = max(len(m.map) - before, 0) / m.count
         m.plan(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
+        if new_share > self.config.sweep_share:  # what is new must be drawn well before the next frame is tracked on it
+            m.work(len(m.todo))
         return True
 
     def _look_back(self, depth: float) -> None:
