@@ -1,13 +1,13 @@
 """How good the first depth is: `bootstrap` on the rooms, from several starts, through several cameras.
 
-    python benchmarks/bootstrap.py                                    # panoramas 256 and 512 wide, all rooms, first frame
+    python benchmarks/bootstrap.py                                    # all rooms, 256 and 512 wide, first frame
     python benchmarks/bootstrap.py --rooms room3 --widths 256 --cases every2 yaw6 turn15 --starts 0 40
     python benchmarks/bootstrap.py --root DATA --rooms synpano/devroom --cases pinhole fov360x80
 
-A case is a way to start: `plain`, `everyN` (each N-th frame), `yawN` (N degrees a frame besides the camera's own motion),
-`turnN` (N frames on the spot at 3 degrees each, then the motion), `fovHxV` (a panorama of limited view) and `pinhole` (120 x 60
-degrees, 288 pixels wide for a panorama of 512); joined by "+". Depth is compared after its median ratio to the truth
-is taken out, positions after the best scale.
+A case is a way to start: `plain`, `everyN` (each N-th frame), `yawN` (N degrees a frame besides the camera's own
+motion), `turnN` (N frames on the spot at 3 degrees each, then the motion), `fovHxV` (a panorama of limited view) and
+`pinhole` (120 x 60 degrees, 288 pixels wide for a panorama of 512); joined by "+". Depth is compared after its median
+ratio to the truth is taken out, positions after the best scale.
 """
 
 from __future__ import annotations
@@ -117,7 +117,8 @@ class Score:
 def score(sequence: Sequence, estimate: DepthEstimate, frames: int, cpu_s: float) -> Score:
     """Against the depth and the poses of the sequence."""
     truth, poses = sequence.depth(estimate.frame_index), sequence.groundtruth
-    assert truth is not None and poses is not None
+    assert truth is not None
+    assert poses is not None
     known = np.isfinite(truth) & (truth > 0) & sequence.camera.valid_mask() & np.isfinite(estimate.depth)
     ratio = estimate.depth[known] / truth[known]
     off = np.abs(ratio / np.median(ratio) - 1)

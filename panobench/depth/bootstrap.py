@@ -14,9 +14,10 @@ import numpy as np
 from panobench.cameras.base import Camera
 from panobench.depth.base import DepthEstimator
 from panobench.depth.bootstrap_check import judge
-from panobench.depth.bootstrap_solve import MEDIAN_DEPTH, Solution, SolveOptions, Solver, spread_over_path
-from panobench.depth.bootstrap_starts import OVERLAP_MIN, FlatStart, PoseStart, Start, TrackStart
+from panobench.depth.bootstrap_solve import MEDIAN_DEPTH, OVERLAP_MIN, Solution, SolveOptions, Solver, spread_over_path
+from panobench.depth.bootstrap_starts import FlatStart, PoseStart, Start, TrackStart
 from panobench.geometry import invert_pose
+from panobench.photometric.overlap import ViewShare
 from panobench.photometric.pyramid import F32, luma_of_frame, pyramid
 from panobench.photometric.stereo import resize_panorama
 from panobench.types import DepthEstimate, Frame
@@ -56,7 +57,7 @@ class BootstrapDepth(DepthEstimator):
         self.camera, self.seed, self.wrap = camera, seed, camera.kind == "erp"
         self.valid = camera.valid_mask()
         self.solver = Solver(camera, self.options.solve)
-        self.narrow = float(camera.solid_angle().sum()) < self.options.narrow_sr
+        self.narrow = ViewShare(camera).steradians < self.options.narrow_sr
         self.frames: list[Frame] = []
         self.pyramids: list[list[F32]] = []
         self.starts: PoseStart = self._start_of(self.narrow)
@@ -135,6 +136,10 @@ class BootstrapDepth(DepthEstimator):
         size = (self.camera.height, self.camera.width)
         confidence = np.where(self.solver.fine.valid, solution.confidence, 0).astype(np.float32)
         poses = {self.frames[start.reference + k].index: invert_pose(T) for k, T in zip(usable, solution.T_fr)}
+        if start.reference:
+            before = self.pyramids[: start.reference][::-1]
+            earlier = self.solver.backwards(before, [self.pyramids[start.reference + k] for k in usable], solution)
+            poses |= {self.frames[start.reference - 1 - k].index: invert_pose(T) for k, T in enumerate(earlier)}
         parallax = max(float(np.linalg.norm(T[:3, 3])) for T in solution.T_fr) / MEDIAN_DEPTH
         said = [f"{len(self.frames)} frames", f"parallax {np.rad2deg(parallax):.1f} deg"]
         idle = start.turning() + start.reference

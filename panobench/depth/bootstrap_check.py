@@ -6,13 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from panobench.depth.bootstrap_solve import MEDIAN_DEPTH, Pose, Solution, Solver
+from panobench.depth.bootstrap_solve import HUBER, MEDIAN_DEPTH, Pose, Solution, Solver
 from panobench.photometric.align import AlignOptions, align, mean_cost
 from panobench.photometric.pyramid import F32
-from panobench.photometric.stereo import resize_panorama
 
-#: Residual (of 1) from which costs grow linearly.
-HUBER = 0.05
 #: Of the cost that a turn without any depth leaves, what depth may leave.
 EXPLAINED_MAX = 0.7
 #: Share of the view where the early and the late frames must find the same depth, to AGREE in log depth.
@@ -25,8 +22,8 @@ PEGGED_MAX = 0.4
 
 @dataclass(frozen=True)
 class Verdict:
-    """unexplained: cost with depth over cost of the best turn on the spot. agreement: share of the view where the early and
-    the late half of the frames find the same depth. spread: p90 / p10 of depth. pegged: share at the range's ends.
+    """unexplained: cost with depth over cost of the best turn on the spot. agreement: share of the view where the early
+    and the late half of the frames find the same depth. spread: p90 / p10 of depth. pegged: share at the range's ends.
     """
 
     unexplained: float
@@ -37,7 +34,9 @@ class Verdict:
     def problem(self) -> str | None:
         """What is wrong, or None."""
         if not self.unexplained < EXPLAINED_MAX:
-            return f"its depth explains the images hardly better than a turn ({100 * self.unexplained:.0f}% of the cost)"
+            return (
+                f"its depth explains the images hardly better than a turn ({100 * self.unexplained:.0f}% of the cost)"
+            )
         if not self.agreement > AGREEMENT_MIN:
             return f"early and late frames agree on only {100 * self.agreement:.0f}% of its depth"
         if not self.spread > SPREAD_MIN:
@@ -52,7 +51,9 @@ def judge(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> Verd
     valid = solver.fine.valid
     depth = solution.depth[valid]
     low, high = np.percentile(depth, [10, 90])
-    pegged = float(((depth < 1.1 * solver.options.near * MEDIAN_DEPTH) | (depth > 0.9 * solver.options.far * MEDIAN_DEPTH)).mean())
+    pegged = float(
+        ((depth < 1.1 * solver.options.near * MEDIAN_DEPTH) | (depth > 0.9 * solver.options.far * MEDIAN_DEPTH)).mean()
+    )
     return Verdict(
         _unexplained(solver, pyramids, solution), _agreement(solver, pyramids, solution), float(high / low), pegged
     )
@@ -88,8 +89,7 @@ def _agreement(solver: Solver, pyramids: list[list[F32]], solution: Solution) ->
     low, high = np.percentile(solution.depth[solver.fine.valid], [0.5, 99.5]) / MEDIAN_DEPTH
     between = (0.7 * float(low), 1.4 * float(high))
     early, late = (
-        solver.sweep(pyramids, solution.T_fr, half, between, scale, whole)[0]
-        for half in np.array_split(used, 2)
+        solver.sweep(pyramids, solution.T_fr, half, between, scale, whole)[0] for half in np.array_split(used, 2)
     )
     same = np.abs(np.log(early / late)) < AGREE
     return float(same[scale.valid].mean())

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.photometric.align import AlignOptions, Reference, align, make_reference
+from panobench.geometry import invert_pose, renormalise
+from panobench.photometric.align import AlignOptions, Reference, align, make_reference, mean_cost
 from panobench.photometric.bundle import refine
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
@@ -19,6 +20,10 @@ from panobench.photometric.warp import camera_code
 Pose = NDArray[np.float64]
 #: The scale that is chosen: median radial depth of the reference frame.
 MEDIAN_DEPTH = 2.0
+#: Residual (of 1) from which costs of different alignments grow linearly when they are compared.
+HUBER = 0.05
+#: Least share of the reference's view that a frame must see again.
+OVERLAP_MIN = 0.35
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,26 @@ class Solver:
                 low, high = np.percentile(depth[scale.valid], [0.5, 99.5]) / MEDIAN_DEPTH
                 near, far = max(0.7 * float(low), o.near), min(1.4 * float(high), o.far)
         return Solution(depth, confidence, T_fr, used)
+
+    def backwards(self, before: list[list[F32]], after: list[list[F32]], solution: Solution) -> list[Pose]:
+        """Poses from the reference of the frames before it, newest first, as far as they can be aligned to it.
+
+        before: their pyramids, newest first; after: those of the reference and the frames after it.
+        """
+        scale, found = self.fine, [solution.T_fr[1], solution.T_fr[0]]
+        reference = self.reference(after[0], solution.depth, scale)
+
+        def placed(levels: list[F32], T_fr: Pose) -> tuple[Pose, float, float]:
+            a = align(reference, levels[scale.level :], T_fr, self.align_options)
+            return a.T_fr, *mean_cost(reference, levels[scale.level :], a, HUBER)
+
+        usual = float(np.median([placed(after[k], solution.T_fr[k])[1] for k in solution.used]))
+        for levels in before:
+            T, cost, seen = placed(levels, renormalise(found[-1] @ invert_pose(found[-2]) @ found[-1]))
+            if seen < OVERLAP_MIN or not cost < 2 * usual:
+                break
+            found.append(T)
+        return found[2:]
 
     def sweep(
         self,

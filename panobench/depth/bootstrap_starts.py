@@ -1,8 +1,8 @@
 """Rough poses of the first frames: by alignment to a sphere of constant depth, or from feature tracks.
 
-On wide views the first is enough, whatever the scene: rotation and translation move a panorama in different ways, however wrong the
-depth. In narrow views sideways motion passes for a turn when depth is constant, so they start from the essential
-matrix of the ``sparse`` method's tracks, which needs no depth.
+On wide views the first is enough, whatever the scene: a turn and a translation move a panorama in different ways,
+however wrong the depth. In narrow views sideways motion passes for a turn when depth is constant, so they start from
+the essential matrix of the ``sparse`` method's tracks, which needs no depth.
 """
 
 from __future__ import annotations
@@ -13,19 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from panobench.cameras.base import Camera
-from panobench.depth.bootstrap_solve import MEDIAN_DEPTH, Pose, Solver
+from panobench.depth.bootstrap_solve import HUBER, MEDIAN_DEPTH, Pose, Solver
 from panobench.geometry import invert_pose, renormalise
 from panobench.photometric.align import Alignment, Reference, align, mean_cost
+from panobench.photometric.overlap import ViewShare
 from panobench.photometric.pyramid import F32
 from panobench.photometric.turn import TurnFinder
 from panobench.types import Frame
 
-#: Residual (of 1) from which costs of different alignments grow linearly when they are compared.
-HUBER = 0.05
 #: An alignment this much dearer than those before it is tried again from another guess.
 DEARER = 1.5
-#: Least share of the view at the reference that a frame must see again.
-OVERLAP_MIN = 0.35
 
 
 @dataclass
@@ -91,7 +88,7 @@ class FlatStart(PoseStart):
                     found, cost = other, other_cost
         self.T_fr.append(found.T_fr)
         self.costs.append(cost)
-        self.seen.append(self.view.of(found.T_fr))
+        self.seen.append(self.view.of(found.T_fr, MEDIAN_DEPTH))
 
     def start(self) -> Start | None:
         return Start(0, self.T_fr, self.seen) if self.T_fr else None
@@ -147,22 +144,4 @@ class TrackStart(PoseStart):
                 T = poses[k] @ T_rw
                 T[:3, 3] *= factor
             T_fr.append(T)
-        return Start(first, T_fr, [self.view.of(T) for T in T_fr])
-
-
-class ViewShare:
-    """How much of the reference's view another pose sees, if all of it were at the median depth."""
-
-    def __init__(self, camera: Camera) -> None:
-        self.camera = camera
-        step_y, step_x = max(camera.height // 12, 1), max(camera.width // 24, 1)
-        rays = camera.rays()[step_y // 2 :: step_y, step_x // 2 :: step_x]
-        known = camera.valid_mask()[step_y // 2 :: step_y, step_x // 2 :: step_x]
-        self.points = MEDIAN_DEPTH * rays[known]
-
-    def of(self, T_fr: Pose) -> float:
-        pixels, valid = self.camera.project(self.points @ T_fr[:3, :3].T + T_fr[:3, 3])
-        x, y = np.floor(np.where(valid[:, None], pixels, 0)).astype(int).T
-        inside = valid & (x >= 0) & (y >= 0) & (x < self.camera.width) & (y < self.camera.height)
-        seen = self.camera.valid_mask()[np.where(inside, y, 0), np.where(inside, x, 0)]
-        return float((inside & seen).mean()) if len(inside) else 0.0
+        return Start(first, T_fr, [self.view.of(T, MEDIAN_DEPTH) for T in T_fr])

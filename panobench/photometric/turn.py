@@ -1,7 +1,7 @@
 """How far the camera turned between two frames, from their smallest images alone: a guess where nothing predicts it.
 
-Rotation-only alignment of small blurred images (Klein & Murray, "Improving the agility of keyframe-based SLAM", ECCV
-2008) from several turns about the vertical, so that neither the basin of one start nor the translation in between matters.
+Rotation-only alignment of small blurred images (Klein & Murray, "Improving the agility of keyframe-based SLAM",
+ECCV 2008) from several turns about the vertical, because the basin of one start is a few pixels wide.
 """
 
 from __future__ import annotations
