@@ -13,7 +13,7 @@ import numpy as np
 
 from panobench.cameras.base import Camera
 from panobench.depth.base import DepthEstimator
-from panobench.depth.bootstrap_check import judge
+from panobench.depth.bootstrap_check import judge, photometric_cost
 from panobench.depth.bootstrap_solve import MEDIAN_DEPTH, OVERLAP_MIN, Solution, SolveOptions, Solver, spread_over_path
 from panobench.depth.bootstrap_starts import FlatStart, PoseStart, Start, TrackStart
 from panobench.geometry import invert_pose
@@ -22,18 +22,21 @@ from panobench.photometric.pyramid import F32, luma_of_frame, pyramid
 from panobench.photometric.stereo import resize_panorama
 from panobench.types import DepthEstimate, Frame
 
+#: Median difference of log depths, the scale taken out, below which two solutions are one.
+SAME_DEPTH = 0.05
+
 
 @dataclass(frozen=True)
 class BootstrapOptions:
     """parallax_rad: translation over depth that ends the wait after ``frames`` frames; parallax_fast_rad: already after
     min_frames. parallax_min_rad: below it nothing is tried. wait: frames after which what there is has to do, if the
     camera moved; patience: the same if it did not. more: factor on the parallax asked for after a failure.
-    narrow_sr: views of less solid angle start from feature tracks, and do not wait while they lose the
-    reference from view (leaving: share still seen).
+    narrow_sr: views of less solid angle start from feature tracks, and do not wait while they lose the reference from
+    view (leaving: share still seen); of two solutions for them one must be better by the factor clear.
     """
 
-    parallax_rad: float = 0.12
-    parallax_fast_rad: float = 0.22
+    parallax_rad: float = 0.15
+    parallax_fast_rad: float = 0.25
     parallax_min_rad: float = 0.02
     min_frames: int = 4
     frames: int = 12
@@ -43,6 +46,7 @@ class BootstrapOptions:
     more: float = 1.5
     narrow_sr: float = 2 * np.pi
     leaving: float = 0.6
+    clear: float = 1.3
     solve: SolveOptions = field(default_factory=SolveOptions)
 
 
@@ -73,7 +77,8 @@ class BootstrapDepth(DepthEstimator):
         self.starts.add(frame, self.pyramids)
         start, n = self.starts.start(), len(self.frames)
         if start is not None and self._enough(start):
-            return self._answer(start, last=n >= o.wait or len(self.problems) + 1 >= o.tries)
+            tired = len(self.problems) + 1 >= o.tries and not self.narrow
+            return self._answer(start, last=n >= o.wait or tired)
         moved = start is not None and start.parallax() >= o.parallax_min_rad
         if n >= (o.wait if moved or self.narrow else o.patience):
             return self._answer(start, last=True)
@@ -101,16 +106,27 @@ class BootstrapDepth(DepthEstimator):
     def _answer(self, start: Start | None, *, last: bool) -> DepthEstimate | None:
         """A depth that is believed; None: more frames, please. ``last``: no more will come, or they would not help."""
         found = self._attempt(start, self.starts)
-        if found is not None:
-            return found
-        self.demand *= self.options.more
-        if not last:
+        if found is None and not last:
+            self._again()
             return None
-        other = self._start_of(not self.narrow)
-        for k, frame in enumerate(self.frames):
-            other.add(frame, self.pyramids[: k + 1])
-        found = self._attempt(other.start(), other)
-        return found or self._constant(self.problems[-1] if self.problems else "nothing to go by")
+        self.starts.close()
+        if found is None:
+            other = self._start_of(not self.narrow)
+            for k, frame in enumerate(self.frames):
+                other.add(frame, self.pyramids[: k + 1])
+            found = self._attempt(other.start(), other) or self._constant("; ".join(dict.fromkeys(self.problems)))
+            other.close()
+        self.pyramids = []
+        return found
+
+    def _again(self) -> None:
+        """After a failure: more parallax on a wide view; a narrow one has turned away, and begins anew from here."""
+        if not self.narrow:
+            self.demand *= self.options.more
+            return
+        self.starts.close()
+        self.starts = self._start_of(self.narrow)
+        self.starts.add(self.frames[-1], self.pyramids)
 
     def _attempt(self, start: Start | None, way: PoseStart) -> DepthEstimate | None:
         if start is None or len(start.T_fr) < 3:
@@ -126,11 +142,30 @@ class BootstrapDepth(DepthEstimator):
         pyramids = [self.pyramids[start.reference + k] for k in usable]
         T_fr = [start.T_fr[k] for k in usable]
         solution = self.solver.solve(pyramids, T_fr, spread_over_path(T_fr, self.options.solve.frames))
-        problem = judge(self.solver, pyramids, solution).problem()
+        problem = None
+        if self.narrow and isinstance(way, TrackStart):
+            solution, problem = self._settled(start, usable, pyramids, solution)
+        problem = problem or judge(self.solver, pyramids, solution).problem()
         if problem is not None:
             self.problems.append(problem)
             return None
         return self._estimate(start, way, usable, solution)
+
+    def _settled(
+        self, start: Start, usable: list[int], pyramids: list[list[F32]], solution: Solution
+    ) -> tuple[Solution, str | None]:
+        """The better of two starts, and a problem if it is not clear: many depths may explain a narrow view."""
+        flat = FlatStart(self.camera, self.solver)
+        for k in range(len(start.T_fr)):
+            flat.add(self.frames[start.reference + k], self.pyramids[start.reference : start.reference + k + 1])
+        rival = self.solver.solve(pyramids, [flat.T_fr[k] for k in usable], solution.used)
+        cost, rival_cost = (photometric_cost(self.solver, pyramids, s) for s in (solution, rival))
+        change = np.log(rival.depth / solution.depth)[self.solver.fine.valid]
+        same = float(np.median(np.abs(change - np.median(change)))) < SAME_DEPTH
+        best = solution if cost <= rival_cost else rival
+        if same or max(cost, rival_cost) > self.options.clear * min(cost, rival_cost):
+            return best, None
+        return best, "two starts end in different depths that explain the images alike"
 
     def _estimate(self, start: Start, way: PoseStart, usable: list[int], solution: Solution) -> DepthEstimate:
         size = (self.camera.height, self.camera.width)
@@ -142,9 +177,10 @@ class BootstrapDepth(DepthEstimator):
             poses |= {self.frames[start.reference - 1 - k].index: invert_pose(T) for k, T in enumerate(earlier)}
         parallax = max(float(np.linalg.norm(T[:3, 3])) for T in solution.T_fr) / MEDIAN_DEPTH
         said = [f"{len(self.frames)} frames", f"parallax {np.rad2deg(parallax):.1f} deg"]
-        idle = start.turning() + start.reference
-        if idle >= 3:
-            said.append(f"{idle} of them without parallax waited out")
+        if start.turning() >= 3:
+            said.append(f"{start.turning()} of them without parallax waited out")
+        if start.reference:
+            said.append(f"{start.reference} before the first with depth")
         if isinstance(way, TrackStart):
             said.append("from feature tracks")
         if self.problems:

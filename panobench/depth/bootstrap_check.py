@@ -10,10 +10,12 @@ from panobench.depth.bootstrap_solve import HUBER, MEDIAN_DEPTH, Pose, Solution,
 from panobench.photometric.align import AlignOptions, align, mean_cost
 from panobench.photometric.pyramid import F32
 
+#: The same for telling two solutions apart.
+FINE_HUBER = 0.02
 #: Of the cost that a turn without any depth leaves, what depth may leave.
 EXPLAINED_MAX = 0.7
-#: Share of the view where the early and the late frames must find the same depth, to AGREE in log depth.
-AGREEMENT_MIN, AGREE = 0.5, 0.15
+#: Share of what early and late frames both see clearly where they must find the same depth, to AGREE in log depth.
+AGREEMENT_MIN, AGREE = 0.82, 0.15
 #: Ratio of the 90th to the 10th percentile of depth.
 SPREAD_MIN = 1.05
 #: Share of the view that may lie at an end of the range.
@@ -22,8 +24,9 @@ PEGGED_MAX = 0.4
 
 @dataclass(frozen=True)
 class Verdict:
-    """unexplained: cost with depth over cost of the best turn on the spot. agreement: share of the view where the early
-    and the late half of the frames find the same depth. spread: p90 / p10 of depth. pegged: share at the range's ends.
+    """unexplained: cost with depth over cost of the best turn on the spot. agreement: share of what the early and the
+    late half of the frames both see clearly where they find the same depth. spread: p90 / p10 of depth. pegged:
+    share at the range's ends.
     """
 
     unexplained: float
@@ -76,23 +79,41 @@ def _unexplained(solver: Solver, pyramids: list[list[F32]], solution: Solution) 
     return with_depth / max(without, 1e-9)
 
 
+def photometric_cost(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:
+    """Mean robust cost at the fine size over the frames used: comparable between solutions of the same frames."""
+    scale = solver.fine
+    reference = solver.reference(pyramids[0], solution.depth, scale)
+    costs = []
+    for k in solution.used:
+        frame = pyramids[k][scale.level :]
+        found = align(reference, frame, solution.T_fr[k], solver.align_options, coarsest=0)
+        costs.append(mean_cost(reference, frame, found, FINE_HUBER)[0])
+    return float(np.mean(costs))
+
+
 def _cost(solver: Solver, reference, frame: list[F32], T_fr: Pose, options: AlignOptions) -> float:  # type: ignore[no-untyped-def]
     return mean_cost(reference, frame, align(reference, frame, T_fr, options), HUBER)[0]
 
 
 def _agreement(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:
-    """At the coarse size; 1 where there are too few frames to ask."""
+    """At the coarse size, of the surer half of what both see; 1 where there are too few frames to ask."""
     used, scale = solution.used, solver.coarse
     if len(used) < 4:
         return 1.0
     whole = replace(solver.options.sweep, half_min=len(used) + 1)
     low, high = np.percentile(solution.depth[solver.fine.valid], [0.5, 99.5]) / MEDIAN_DEPTH
     between = (0.7 * float(low), 1.4 * float(high))
-    early, late = (
-        solver.sweep(pyramids, solution.T_fr, half, between, scale, whole)[0] for half in np.array_split(used, 2)
+    halves = np.array_split(used, 2)
+    halves = np.array_split(used, 2)
+    (early, sure_early), (late, sure_late) = (
+        solver.sweep(pyramids, solution.T_fr, half, between, scale, whole) for half in halves
     )
-    same = np.abs(np.log(early / late)) < AGREE
-    return float(same[scale.valid].mean())
+    both = np.logical_and(*(solver.seen(pyramids, solution.T_fr, half, early, scale) for half in halves))
+    if not both.any():
+        return 0.0
+    sure = np.minimum(sure_early, sure_late)
+    both &= sure >= np.median(sure[both])
+    return float((np.abs(np.log(early / late)) < AGREE)[both].mean())
 
 
 def resize_down(depth: F32, shape: tuple[int, ...]) -> F32:

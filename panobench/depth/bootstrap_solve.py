@@ -15,6 +15,7 @@ from panobench.photometric.align import AlignOptions, Reference, align, make_ref
 from panobench.photometric.bundle import refine
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
+from panobench.photometric.sweep import reprojection_error
 from panobench.photometric.warp import camera_code
 
 Pose = NDArray[np.float64]
@@ -147,6 +148,16 @@ class Solver:
         T = np.stack([T_fr[k] for k in used])
         luma, images = pyramids[0][scale.level], _images(pyramids, used, scale)
         return multi_view_depth(luma, scale, images, T, near, far, options or self.options.sweep)
+
+    def seen(
+        self, pyramids: list[list[F32]], T_fr: list[Pose], by: NDArray[np.intp], depth: F32, scale: WorkingScale
+    ) -> NDArray[np.bool_]:
+        """(H, W): what at least one of the frames ``by`` sees, at depth (H, W)."""
+        T, out = np.stack([T_fr[k] for k in by]).astype(np.float32), np.empty_like(depth)
+        R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
+        luma, images = pyramids[0][scale.level], _images(pyramids, by, scale)
+        reprojection_error(luma, scale.rays, images, R, t, depth, scale.code, scale.cam, np.float32(1), out)
+        return np.isfinite(out) & scale.valid
 
     def _bundle(
         self, pyramids: list[list[F32]], T_fr: list[Pose], used: NDArray[np.intp], depth: F32, scale: WorkingScale

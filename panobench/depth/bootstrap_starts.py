@@ -57,6 +57,10 @@ class PoseStart(ABC):
     def start(self) -> Start | None:
         """What is known now; None before there is anything."""
 
+    @abstractmethod
+    def close(self) -> None:
+        """Nothing more will be asked."""
+
 
 class FlatStart(PoseStart):
     """Every frame is aligned to the first at constant depth."""
@@ -93,6 +97,9 @@ class FlatStart(PoseStart):
     def start(self) -> Start | None:
         return Start(0, self.T_fr, self.seen) if self.T_fr else None
 
+    def close(self) -> None:
+        self.reference = None
+
     def _predicted(self) -> Pose:
         """Constant velocity for the newest frame from the two before it."""
         T = self.T_fr
@@ -121,7 +128,7 @@ class TrackStart(PoseStart):
         self.position: dict[int, int] = {}
 
     def add(self, frame: Frame, pyramids: list[list[F32]]) -> None:
-        self.position[frame.index] = len(self.position)
+        self.position[frame.index] = len(pyramids) - 1
         self.method.track(frame)
 
     def start(self) -> Start | None:
@@ -145,3 +152,6 @@ class TrackStart(PoseStart):
                 T[:3, 3] *= factor
             T_fr.append(T)
         return Start(first, T_fr, [self.view.of(T, MEDIAN_DEPTH) for T in T_fr])
+
+    def close(self) -> None:
+        self.method.pool.shutdown()
