@@ -46,7 +46,7 @@ class BootstrapOptions:
     more: float = 1.5
     narrow_sr: float = 2 * np.pi
     leaving: float = 0.6
-    clear: float = 1.3
+    clear: float = 1.15
     solve: SolveOptions = field(default_factory=SolveOptions)
 
 
