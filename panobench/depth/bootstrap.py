@@ -41,7 +41,7 @@ class BootstrapOptions:
     min_frames: int = 4
     frames: int = 12
     wait: int = 60
-    patience: int = 240
+    patience: int = 150
     tries: int = 3
     more: float = 1.5
     narrow_sr: float = 2 * np.pi
@@ -73,7 +73,9 @@ class BootstrapDepth(DepthEstimator):
     def add(self, frame: Frame) -> DepthEstimate | None:
         o = self.options
         self.frames.append(frame)
-        self.pyramids.append(pyramid(luma_of_frame(frame.image, self.valid)))
+        levels = pyramid(luma_of_frame(frame.image, self.valid))
+        unused = self.solver.fine.level  # levels larger than the fine working size: not worth their memory
+        self.pyramids.append([np.empty((0, 0), np.float32)] * unused + levels[unused:])
         self.starts.add(frame, self.pyramids)
         start, n = self.starts.start(), len(self.frames)
         if start is not None and self._enough(start):
