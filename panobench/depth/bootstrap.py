@@ -39,7 +39,7 @@ class BootstrapOptions:
     parallax_fast_rad: float = 0.25
     parallax_min_rad: float = 0.02
     min_frames: int = 4
-    frames: int = 12
+    frames: int = 14
     wait: int = 60
     patience: int = 150
     tries: int = 3

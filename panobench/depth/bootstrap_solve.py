@@ -21,6 +21,9 @@ from panobench.photometric.warp import camera_code
 Pose = NDArray[np.float64]
 #: The scale that is chosen: median radial depth of the reference frame.
 MEDIAN_DEPTH = 2.0
+#: The first depth is found once: more shells than later sweeps have, and a half of the frames is believed wherever it
+#: agrees with itself at all better than the whole.
+SWEEP = SweepOptions(shells=64, half_ratio=1.0, half_margin=0.002)
 #: Residual (of 1) from which costs of different alignments grow linearly when they are compared.
 HUBER = 0.05
 #: Least share of the reference's view that a frame must see again.
@@ -35,12 +38,12 @@ class SolveOptions:
 
     coarse_width: int = 256
     fine_width: int = 512
-    frames: int = 12
+    frames: int = 14
     rounds: int = 2
     fine_rounds: int = 1
     near: float = 0.2
     far: float = 15.0
-    sweep: SweepOptions = field(default_factory=SweepOptions)
+    sweep: SweepOptions = field(default_factory=lambda: SWEEP)
 
 
 @dataclass
