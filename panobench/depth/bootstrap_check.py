@@ -16,6 +16,8 @@ FINE_HUBER = 0.02
 EXPLAINED_MAX = 0.7
 #: Share of what early and late frames both see clearly where they must find the same depth, to AGREE in log depth.
 AGREEMENT_MIN, AGREE = 0.82, 0.15
+#: Shells of the two sweeps for it.
+CHECK_SHELLS = 40
 #: Ratio of the 90th to the 10th percentile of depth.
 SPREAD_MIN = 1.05
 #: Share of the view that may lie at an end of the range.
@@ -100,7 +102,7 @@ def _agreement(solver: Solver, pyramids: list[list[F32]], solution: Solution) ->
     used, scale = solution.used, solver.coarse
     if len(used) < 4:
         return 1.0
-    whole = replace(solver.options.sweep, half_min=len(used) + 1)
+    whole = replace(solver.options.sweep, half_min=len(used) + 1, shells=CHECK_SHELLS)
     low, high = np.percentile(solution.depth[solver.fine.valid], [0.5, 99.5]) / MEDIAN_DEPTH
     between = (0.7 * float(low), 1.4 * float(high))
     halves = np.array_split(used, 2)
