@@ -1,7 +1,8 @@
-"""Depth of the first frame from the first frames themselves: no weights, no features, no scale.
+"""Depth of a first frame from the first frames themselves: no weights, no scale.
 
-Alternates (a) direct alignment of the frames to the first with the current depth, constant at first, and (b) a plane
-sweep with those poses. Each improves the other; the scale is free and set to a median depth of 2.
+Frames are collected until they have parallax; rough poses (``bootstrap_starts``) become depth and poses
+(``bootstrap_solve``), which are judged (``bootstrap_check``). What fails is tried again with more frames and then from
+the other kind of start; in the end the answer is a constant that says so.
 """
 
 from __future__ import annotations
@@ -9,41 +10,44 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.depth.base import DepthEstimator
-from panobench.geometry import invert_pose, renormalise
-from panobench.photometric.align import AlignOptions, align, make_reference
-from panobench.photometric.bundle import refine
+from panobench.depth.bootstrap_check import judge, photometric_cost
+from panobench.depth.bootstrap_solve import MEDIAN_DEPTH, OVERLAP_MIN, Solution, SolveOptions, Solver, spread_over_path
+from panobench.depth.bootstrap_starts import FlatStart, PoseStart, Start, TrackStart
+from panobench.geometry import invert_pose
+from panobench.photometric.overlap import ViewShare
 from panobench.photometric.pyramid import F32, luma_of_frame, pyramid
-from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
-from panobench.photometric.warp import camera_code
+from panobench.photometric.stereo import resize_panorama
 from panobench.types import DepthEstimate, Frame
+
+#: Median difference of log depths, the scale taken out, below which two solutions are one.
+SAME_DEPTH = 0.05
 
 
 @dataclass(frozen=True)
 class BootstrapOptions:
-    """coarse_width, fine_width: the two working widths. parallax_rad: translation over depth that ends the wait
-    (parallax_fast_rad already after min_frames); frames: most used for the sweep; wait: most frames to wait.
-    rounds, fine_rounds: sweeps at either width. near, far: sweep range over the median depth.
+    """parallax_rad: translation over depth that ends the wait after ``frames`` frames; parallax_fast_rad: already after
+    min_frames. parallax_min_rad: below it nothing is tried. wait: frames after which what there is has to do, if the
+    camera moved; patience: the same if it did not. more: factor on the parallax asked for after a failure.
+    narrow_sr: views of less solid angle start from feature tracks, and do not wait while they lose the reference from
+    view (leaving: share still seen); of two solutions for them one must be better by the factor clear.
     """
 
-    coarse_width: int = 256
-    fine_width: int = 512
-    parallax_rad: float = 0.12
-    parallax_fast_rad: float = 0.22
+    parallax_rad: float = 0.15
+    parallax_fast_rad: float = 0.25
+    parallax_min_rad: float = 0.02
     min_frames: int = 4
-    frames: int = 12
+    frames: int = 14
     wait: int = 60
-    rounds: int = 2
-    fine_rounds: int = 1
-    near: float = 0.2
-    far: float = 15.0
-    sweep: SweepOptions = field(default_factory=SweepOptions)
-
-
-MEDIAN_DEPTH = 2.0
+    patience: int = 150
+    tries: int = 3
+    more: float = 1.5
+    narrow_sr: float = 2 * np.pi
+    leaving: float = 0.6
+    clear: float = 1.15
+    solve: SolveOptions = field(default_factory=SolveOptions)
 
 
 class BootstrapDepth(DepthEstimator):
@@ -54,109 +58,143 @@ class BootstrapDepth(DepthEstimator):
         self.options = options
 
     def start(self, camera: Camera, seed: int = 0) -> None:
-        self.full, self.wrap = camera, camera.kind == "erp"
-        self.full_valid = camera.valid_mask()
-        self.code = camera_code(camera)[0]
-        self.coarse = WorkingScale.of(camera, self.options.coarse_width)
-        self.fine = WorkingScale.of(camera, self.options.fine_width)
-        self.align_options = AlignOptions(exposure=True)
+        self.camera, self.seed, self.wrap = camera, seed, camera.kind == "erp"
+        self.valid = camera.valid_mask()
+        self.solver = Solver(camera, self.options.solve)
+        self.narrow = ViewShare(camera).steradians < self.options.narrow_sr
         self.frames: list[Frame] = []
         self.pyramids: list[list[F32]] = []
-        self.T_fr: list[NDArray[np.float64]] = []
+        self.starts: PoseStart = self._start_of(self.narrow)
+        self.demand, self.problems = 1.0, list[str]()
 
-    # -- taking frames -------------------------------------------------------------------------------------------
+    def _start_of(self, tracks: bool) -> PoseStart:
+        return TrackStart(self.camera, self.seed) if tracks else FlatStart(self.camera, self.solver)
 
     def add(self, frame: Frame) -> DepthEstimate | None:
         o = self.options
         self.frames.append(frame)
-        self.pyramids.append(pyramid(luma_of_frame(frame.image, self.full_valid)))
-        self.T_fr.append(np.eye(4))
-        if len(self.frames) == 1:
-            self._set_reference(self.coarse, np.full(self.coarse.valid.shape, MEDIAN_DEPTH, np.float32))
-            return None
-        self._align(len(self.frames) - 1, self.coarse, self._predicted())
-        parallax, n = self._parallax(), len(self.frames)
-        enough = n >= o.frames and parallax >= o.parallax_rad
-        enough |= n >= o.min_frames and parallax >= o.parallax_fast_rad
-        return self._solve() if enough or n >= o.wait else None
+        levels = pyramid(luma_of_frame(frame.image, self.valid))
+        unused = self.solver.fine.level  # levels larger than the fine working size: not worth their memory
+        self.pyramids.append([np.empty((0, 0), np.float32)] * unused + levels[unused:])
+        self.starts.add(frame, self.pyramids)
+        start, n = self.starts.start(), len(self.frames)
+        if start is not None and self._enough(start):
+            tired = len(self.problems) + 1 >= o.tries and not self.narrow
+            return self._answer(start, last=n >= o.wait or tired)
+        moved = start is not None and start.parallax() >= o.parallax_min_rad
+        if n >= (o.wait if moved or self.narrow else o.patience):
+            return self._answer(start, last=True)
+        return None
 
     def finish(self) -> DepthEstimate | None:
         if not self.frames:
             return None
-        return self._solve() if len(self.frames) >= 3 else self._constant("too few frames")
+        if len(self.frames) < 3:
+            return self._constant("too few frames")
+        return self._answer(self.starts.start(), last=True)
 
-    def _constant(self, why: str) -> DepthEstimate:
-        depth = np.full((self.full.height, self.full.width), MEDIAN_DEPTH, np.float32)
-        return DepthEstimate(depth, self.frames[0].index, ok=False, message=f"bootstrap: {why}; constant depth")
+    def _enough(self, start: Start) -> bool:
+        """Parallax for a try; after a failure more of it."""
+        o, n = self.options, len(start.T_fr)
+        parallax = start.parallax() / self.demand
+        if n >= o.min_frames and parallax >= o.parallax_fast_rad:
+            return True
+        if self.narrow:
+            return n >= o.frames and start.seen[-1] < o.leaving and parallax >= 0.25 * o.parallax_rad
+        return n >= o.frames and parallax >= o.parallax_rad
 
-    def _parallax(self) -> float:
-        """Largest translation from the first frame over the scene's median depth."""
-        return max(float(np.linalg.norm(T[:3, 3])) for T in self.T_fr) / MEDIAN_DEPTH
+    # -- answering -----------------------------------------------------------------------------------------------
 
-    def _predicted(self) -> NDArray[np.float64]:
-        """Constant velocity for the newest frame from the two before it."""
-        if len(self.T_fr) < 3:
-            return self.T_fr[-2]
-        return renormalise(self.T_fr[-2] @ invert_pose(self.T_fr[-3]) @ self.T_fr[-2])
+    def _answer(self, start: Start | None, *, last: bool) -> DepthEstimate | None:
+        """A depth that is believed; None: more frames, please. ``last``: no more will come, or they would not help."""
+        found = self._attempt(start, self.starts)
+        if found is None and not last:
+            self._again()
+            return None
+        self.starts.close()
+        if found is None:
+            other = self._start_of(not self.narrow)
+            for k, frame in enumerate(self.frames):
+                other.add(frame, self.pyramids[: k + 1])
+            found = self._attempt(other.start(), other) or self._constant("; ".join(dict.fromkeys(self.problems)))
+            other.close()
+        self.pyramids = []
+        return found
 
-    def _set_reference(self, scale: WorkingScale, depth: F32) -> None:
-        levels = self.pyramids[0][scale.level :]
-        masked = np.where(scale.valid, depth, np.nan).astype(np.float32)
-        self.reference = make_reference(scale.camera, levels[0], masked, len(levels), self.align_options)
+    def _again(self) -> None:
+        """After a failure: more parallax on a wide view; a narrow one has turned away, and begins anew from here."""
+        if not self.narrow:
+            self.demand *= self.options.more
+            return
+        self.starts.close()
+        self.starts = self._start_of(self.narrow)
+        self.starts.add(self.frames[-1], self.pyramids)
 
-    def _align(self, k: int, scale: WorkingScale, T_fr: NDArray[np.float64]) -> None:
-        self.T_fr[k] = align(self.reference, self.pyramids[k][scale.level :], T_fr, self.align_options).T_fr
+    def _attempt(self, start: Start | None, way: PoseStart) -> DepthEstimate | None:
+        if start is None or len(start.T_fr) < 3:
+            self.problems.append(f"no start from {way.label}")
+            return None
+        if start.parallax() < self.options.parallax_min_rad:
+            self.problems.append(f"no parallax in {len(self.frames)} frames")
+            return None
+        usable = [0] + [k for k in range(1, len(start.T_fr)) if start.seen[k] >= OVERLAP_MIN]
+        if len(usable) < 3:
+            self.problems.append("the view turned away too fast")
+            return None
+        pyramids = [self.pyramids[start.reference + k] for k in usable]
+        T_fr = [start.T_fr[k] for k in usable]
+        solution = self.solver.solve(pyramids, T_fr, spread_over_path(T_fr, self.options.solve.frames))
+        problem = None
+        if self.narrow and isinstance(way, TrackStart):
+            solution, problem = self._settled(start, usable, pyramids, solution)
+        problem = problem or judge(self.solver, pyramids, solution).problem()
+        if problem is not None:
+            self.problems.append(problem)
+            return None
+        return self._estimate(start, way, usable, solution)
 
-    # -- solving -------------------------------------------------------------------------------------------------
+    def _settled(
+        self, start: Start, usable: list[int], pyramids: list[list[F32]], solution: Solution
+    ) -> tuple[Solution, str | None]:
+        """The better of two starts, and a problem if it is not clear: many depths may explain a narrow view."""
+        flat = FlatStart(self.camera, self.solver)
+        for k in range(len(start.T_fr)):
+            flat.add(self.frames[start.reference + k], self.pyramids[start.reference : start.reference + k + 1])
+        rival = self.solver.solve(pyramids, [flat.T_fr[k] for k in usable], solution.used)
+        cost, rival_cost = (photometric_cost(self.solver, pyramids, s) for s in (solution, rival))
+        change = np.log(rival.depth / solution.depth)[self.solver.fine.valid]
+        same = float(np.median(np.abs(change - np.median(change)))) < SAME_DEPTH
+        best = solution if cost <= rival_cost else rival
+        if same or max(cost, rival_cost) > self.options.clear * min(cost, rival_cost):
+            return best, None
+        return best, "two starts end in different depths that explain the images alike"
 
-    def _solve(self) -> DepthEstimate:
-        """Rounds of sweep, alignment and joint refinement, first small, then at the fine width."""
-        o, n = self.options, len(self.frames)
-        used = np.unique(np.linspace(1, n - 1, min(o.frames, n - 1)).round().astype(int))
-        near, far, scale = o.near, o.far, self.coarse
-        depth = np.full(scale.valid.shape, MEDIAN_DEPTH, np.float32)
-        confidence = np.zeros_like(depth)
-        for round_ in range(o.rounds + o.fine_rounds):
-            if round_ == o.rounds:
-                depth = resize_panorama(depth, self.fine.valid.shape, self.wrap)
-                scale = self.fine
-                self._bundle(used, depth, scale)
-            depth, confidence = self._sweep(used, near, far, scale)
-            factor = MEDIAN_DEPTH / float(np.median(depth[scale.valid]))
-            depth *= np.float32(factor)
-            for T in self.T_fr:
-                T[:3, 3] *= factor
-            self._set_reference(scale, depth)
-            for k in range(1, n):
-                self._align(k, scale, self.T_fr[k])
-            if round_ < o.rounds:
-                self._bundle(used, depth, scale)
-            if round_ >= 1:  # the coarse shape is known: spend the shells on the range that occurs
-                low, high = np.percentile(depth[scale.valid], [0.5, 99.5]) / MEDIAN_DEPTH
-                near, far = max(0.7 * float(low), o.near), min(1.4 * float(high), o.far)
-        size = (self.full.height, self.full.width)
+    def _estimate(self, start: Start, way: PoseStart, usable: list[int], solution: Solution) -> DepthEstimate:
+        size = (self.camera.height, self.camera.width)
+        confidence = np.where(self.solver.fine.valid, solution.confidence, 0).astype(np.float32)
+        poses = {self.frames[start.reference + k].index: invert_pose(T) for k, T in zip(usable, solution.T_fr)}
+        if start.reference:
+            before = self.pyramids[: start.reference][::-1]
+            earlier = self.solver.backwards(before, [self.pyramids[start.reference + k] for k in usable], solution)
+            poses |= {self.frames[start.reference - 1 - k].index: invert_pose(T) for k, T in enumerate(earlier)}
+        parallax = max(float(np.linalg.norm(T[:3, 3])) for T in solution.T_fr) / MEDIAN_DEPTH
+        said = [f"{len(self.frames)} frames", f"parallax {np.rad2deg(parallax):.1f} deg"]
+        if start.turning() >= 3:
+            said.append(f"{start.turning()} of them without parallax waited out")
+        if start.reference:
+            said.append(f"{start.reference} before the first with depth")
+        if isinstance(way, TrackStart):
+            said.append("from feature tracks")
+        if self.problems:
+            said.append(f"attempt {len(self.problems) + 1}: {'; '.join(self.problems)}")
         return DepthEstimate(
-            resize_panorama(depth, size, self.wrap),
-            self.frames[0].index,
-            resize_panorama(np.where(scale.valid, confidence, 0).astype(np.float32), size, self.wrap),
-            {f.index: invert_pose(T) for f, T in zip(self.frames, self.T_fr)},
-            message=f"bootstrap: {n} frames, parallax {np.rad2deg(self._parallax()):.1f} deg",
+            resize_panorama(solution.depth, size, self.wrap),
+            self.frames[start.reference].index,
+            resize_panorama(confidence, size, self.wrap),
+            poses,
+            message="bootstrap: " + ", ".join(said),
         )
 
-    def _sweep(self, used: NDArray[np.intp], near: float, far: float, scale: WorkingScale) -> tuple[F32, F32]:
-        """Depth and confidence (H, W) from the current poses of the frames ``used``."""
-        T = np.stack([self.T_fr[k] for k in used])
-        luma = self.pyramids[0][scale.level]
-        near, far = near * MEDIAN_DEPTH, far * MEDIAN_DEPTH
-        return multi_view_depth(luma, scale, self._images(used, scale), T, near, far, self.options.sweep)
-
-    def _images(self, used: NDArray[np.intp], scale: WorkingScale) -> F32:
-        return np.stack([self.pyramids[k][scale.level] for k in used])
-
-    def _bundle(self, used: NDArray[np.intp], depth: F32, scale: WorkingScale) -> None:
-        """Poses of the frames ``used`` and depths together; the other frames follow at the next alignment."""
-        T = np.stack([self.T_fr[k] for k in used])
-        luma = self.pyramids[0][scale.level]
-        T, _ = refine(luma, scale.rays, depth, self._images(used, scale), T, self.code, scale.cam)
-        for k, pose in zip(used, T):
-            self.T_fr[k] = pose
+    def _constant(self, why: str) -> DepthEstimate:
+        depth = np.full((self.camera.height, self.camera.width), MEDIAN_DEPTH, np.float32)
+        return DepthEstimate(depth, self.frames[0].index, ok=False, message=f"bootstrap: {why}; constant depth")

@@ -40,6 +40,7 @@ class AlignOptions:
     reference has wrong. depth_edge: pixels whose four neighbours span a larger ratio of depths (at full size) are
     left out. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v) is ill-suited there).
     step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
+    turn_only: keep the start's translation.
     """
 
     iterations: tuple[int, ...] = (12, 8, 6, 5)
@@ -53,6 +54,7 @@ class AlignOptions:
     step_rad: float = 1e-5
     exposure: bool = False
     gradient_min: float = 2e-3
+    turn_only: bool = False
 
 
 @dataclass(frozen=True)
@@ -389,7 +391,8 @@ def align(
 
     Levels from ``coarsest`` (None: the smallest both have) down to ``finest`` are used in turn.
     """
-    free = np.arange(UNKNOWNS) if options.exposure else np.arange(6)
+    x = np.zeros(UNKNOWNS if options.exposure else 6)
+    free = np.arange(3 if options.turn_only else 0, len(x))
     top = min(len(reference.levels), len(frame)) - 1
     first = top if coarsest is None else min(coarsest, top)
     state = _State(renormalise(T_fr), gain, offset)
@@ -413,7 +416,7 @@ def align(
             Hf = now.H[np.ix_(free, free)]
             A = Hf + damping * np.diag(np.diag(Hf)) + 1e-9 * np.trace(Hf) / len(free) * np.eye(len(free))
             try:
-                x = np.linalg.solve(A, now.b[free])
+                x[free] = np.linalg.solve(A, now.b[free])
             except np.linalg.LinAlgError:
                 break
             moved = state.moved(x)
@@ -433,3 +436,16 @@ def align(
     return Alignment(
         state.T, now.cost, now.sigma, now.seen, count, converged, now.H[:6, :6], state.gain, state.offset, costs
     )
+
+
+def mean_cost(
+    reference: Reference, frame: list[F32], found: Alignment, huber: float, level: int = 0
+) -> tuple[float, float]:
+    """Mean robust cost of an alignment with a Huber threshold of one's own, and the weight share that was seen.
+
+    Costs of ``align`` have thresholds that follow the residuals and cannot be compared with one another; these can.
+    """
+    level = min(level, len(reference.levels) - 1, len(frame) - 1)
+    state = _State(found.T_fr, found.gain, found.offset)
+    now = _normal_equations(reference.levels[level], frame[level], reference.code, state, huber, 10.0, False)
+    return now.cost, now.seen

@@ -34,6 +34,9 @@ class PanogsConfig:
     sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
     sweep_share: float = 0.005  # of the image that must be new for a sweep
     delay: int = 12  # frames looked back: the length of the smoothed window, and what a newly seen region waits
+    delay_min: int = 4  # the same in a narrow view that turns away from what it saw
+    delay_share: float = 0.6  # of the view of a frame looked back to that the newest must still see
+    guess_share: float = 0.2  # unknown share of a narrow view above which the nearest depth is taken at once
     smooth: bool = True  # refine the poses of the last frames jointly with depth, behind the tracker
     sweep_confidence: float = 0.4
     carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong

@@ -53,6 +53,10 @@ class RecentFrames:
         self._last = position
         self._frames.append(RecentFrame(index, image, luma, fine))
 
+    def before(self, delay: int) -> RecentFrame:
+        """The frame ``delay`` before the newest."""
+        return self._frames[-1 - delay]
+
     def split(self, delay: int) -> tuple[RecentFrame, list[RecentFrame]] | None:
         """The frame ``delay`` before the newest, and those after it; None while there are too few."""
         frames = list(self._frames)[-1 - delay :]

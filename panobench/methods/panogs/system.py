@@ -22,12 +22,15 @@ from panobench.methods.panogs.recent import RecentFrame, RecentFrames
 from panobench.methods.panogs.smoothing import Smoother
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
+from panobench.photometric.overlap import ViewShare
 from panobench.splat.render import Renderer
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
 #: Standard deviation, in 8-bit levels, below which a frame shows nothing.
 BLANK_LEVELS = 1.0
+#: Solid angle below which a view is narrow: what enters it soon fills it.
+NARROW = 2 * np.pi
 
 
 @dataclass
@@ -63,6 +66,8 @@ class PanogsMethod(OnlineMethod):
         self.recent = RecentFrames(camera, self.config.delay + 1)
         self.smoother = Smoother(self.recent.fine)
         self.new_depth = NewDepth(camera, self.recent.scale)
+        self.view_share = ViewShare(camera)
+        self.narrow = self.view_share.steradians < NARROW
         self.waiting: list[Frame] = []
         self.records: dict[int, _Record] = {}
         self.numbers: dict[int, dict[str, float]] = {}
@@ -103,6 +108,8 @@ class PanogsMethod(OnlineMethod):
     def _initialise(self, estimate: DepthEstimate) -> None:
         """Build the first map and track the frames that waited for it."""
         self.depth = estimate
+        if estimate.message:
+            self.context.log(estimate.message)
         waiting, self.waiting = self.waiting, []
         first = next(f for f in waiting if f.index == estimate.frame_index)
         view = View(first.index, first.image, np.eye(4))
@@ -115,9 +122,11 @@ class PanogsMethod(OnlineMethod):
         self.records[first.index] = _Record(first.time, view, np.eye(4))
         self.numbers[first.index] = {"keyframe": 1.0}
         for frame in waiting:
+            hint = estimate.T_wc.get(frame.index)
             if frame.index > first.index:
-                hint = estimate.T_wc.get(frame.index)
                 self._process(frame, hint)
+            elif hint is not None:  # before there was depth to be had: the estimator's pose has to do
+                self.records.setdefault(frame.index, _Record(frame.time, view, hint))
 
     def _process(self, frame: Frame, hint: NDArray[np.float64] | None = None) -> None:
         began = time.perf_counter()
@@ -168,7 +177,7 @@ class PanogsMethod(OnlineMethod):
         record = self.records[frame.index]
         record.anchor, record.relative = view, np.eye(4)
         self._look_back(local)
-        if not self.config.sweep:
+        if not self.config.sweep or (self.narrow and new_share > self.config.guess_share):
             m.insert(view, tracked.render)
         grown = max(len(m.map) - before, 0) / m.count
         m.plan(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
@@ -181,7 +190,7 @@ class PanogsMethod(OnlineMethod):
 
         Elsewhere the map has the last word: frames aligned to one map do not drift. ``depth``: the scene's, now.
         """
-        m, c, back = self.mapper, self.config, self.recent.split(self.config.delay)
+        m, c, back = self.mapper, self.config, self.recent.split(self._delay(depth))
         if back is None or not (c.smooth or c.sweep):
             return
         target, others = back
@@ -199,6 +208,22 @@ class PanogsMethod(OnlineMethod):
         if swept is not None and c.sweep:
             disproved = self.new_depth.disproved(swept, mapped)
             m.insert(view, render, self.new_depth.full_size(swept, c.sweep_confidence), disproved)
+
+    def _delay(self, depth: float) -> int:
+        """Frames to look back: as many as still show most of what the newest sees, which on a full panorama is all.
+
+        depth: the scene's, now.
+        """
+        c = self.config
+        if not self.narrow or len(self.recent) < c.delay_min + 1:
+            return c.delay
+        newest = self.recent.before(0)
+        for delay in range(min(c.delay, len(self.recent) - 1), c.delay_min, -1):
+            target = self.recent.before(delay)
+            T = invert_pose(self._pose(newest.index)) @ self._pose(target.index)
+            if self.view_share.of(T, depth) >= c.delay_share:
+                return delay
+        return c.delay_min
 
     def _sweep(self, view: View, back: tuple[RecentFrame, list[RecentFrame]], depth: float) -> Swept | None:
         """Sweep for ``view`` with the current poses, from a tenth of to 15 times the scene's ``depth``."""

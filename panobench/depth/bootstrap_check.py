@@ -1,0 +1,124 @@
+"""Whether a first depth is to be believed, judged by the images alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from panobench.depth.bootstrap_solve import HUBER, MEDIAN_DEPTH, Pose, Solution, Solver
+from panobench.photometric.align import AlignOptions, align, mean_cost
+from panobench.photometric.pyramid import F32
+
+#: The same for telling two solutions apart.
+FINE_HUBER = 0.02
+#: Of the cost that a turn without any depth leaves, what depth may leave.
+EXPLAINED_MAX = 0.7
+#: Share of what early and late frames both see clearly where they must find the same depth, to AGREE in log depth.
+AGREEMENT_MIN, AGREE = 0.82, 0.15
+#: Shells of the two sweeps for it.
+CHECK_SHELLS = 40
+#: Ratio of the 90th to the 10th percentile of depth.
+SPREAD_MIN = 1.05
+#: Share of the view that may lie at an end of the range.
+PEGGED_MAX = 0.4
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """unexplained: cost with depth over cost of the best turn on the spot. agreement: share of what the early and the
+    late half of the frames both see clearly where they find the same depth. spread: p90 / p10 of depth. pegged:
+    share at the range's ends.
+    """
+
+    unexplained: float
+    agreement: float
+    spread: float
+    pegged: float
+
+    def problem(self) -> str | None:
+        """What is wrong, or None."""
+        if not self.unexplained < EXPLAINED_MAX:
+            return (
+                f"its depth explains the images hardly better than a turn ({100 * self.unexplained:.0f}% of the cost)"
+            )
+        if not self.agreement > AGREEMENT_MIN:
+            return f"early and late frames agree on only {100 * self.agreement:.0f}% of its depth"
+        if not self.spread > SPREAD_MIN:
+            return "its depth is the same everywhere"
+        if self.pegged > PEGGED_MAX:
+            return f"{100 * self.pegged:.0f}% of its depth lies at the end of the range"
+        return None
+
+
+def judge(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> Verdict:
+    """pyramids: of the reference and the frames after it, as for ``Solver.solve``."""
+    valid = solver.fine.valid
+    depth = solution.depth[valid]
+    low, high = np.percentile(depth, [10, 90])
+    pegged = float(
+        ((depth < 1.1 * solver.options.near * MEDIAN_DEPTH) | (depth > 0.9 * solver.options.far * MEDIAN_DEPTH)).mean()
+    )
+    return Verdict(
+        _unexplained(solver, pyramids, solution), _agreement(solver, pyramids, solution), float(high / low), pegged
+    )
+
+
+def _unexplained(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:
+    """At the coarse size, over the three frames used that are furthest away."""
+    scale = solver.coarse
+    small = resize_down(solution.depth, scale.valid.shape)
+    reference = solver.reference(pyramids[0], small, scale)
+    turn_only = replace(solver.align_options, turn_only=True)
+    away = [float(np.linalg.norm(solution.T_fr[k][:3, 3])) for k in solution.used]
+    with_depth, without = 0.0, 0.0
+    for k in solution.used[np.argsort(away)[-3:]]:
+        frame, T = pyramids[k][scale.level :], solution.T_fr[k]
+        with_depth += _cost(solver, reference, frame, T, solver.align_options)
+        on_the_spot = T.copy()
+        on_the_spot[:3, 3] = 0
+        without += _cost(solver, reference, frame, on_the_spot, turn_only)
+    return with_depth / max(without, 1e-9)
+
+
+def photometric_cost(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:
+    """Mean robust cost at the fine size over the frames used: comparable between solutions of the same frames."""
+    scale = solver.fine
+    reference = solver.reference(pyramids[0], solution.depth, scale)
+    costs = []
+    for k in solution.used:
+        frame = pyramids[k][scale.level :]
+        found = align(reference, frame, solution.T_fr[k], solver.align_options, coarsest=0)
+        costs.append(mean_cost(reference, frame, found, FINE_HUBER)[0])
+    return float(np.mean(costs))
+
+
+def _cost(solver: Solver, reference, frame: list[F32], T_fr: Pose, options: AlignOptions) -> float:  # type: ignore[no-untyped-def]
+    return mean_cost(reference, frame, align(reference, frame, T_fr, options), HUBER)[0]
+
+
+def _agreement(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:
+    """At the coarse size, of the surer half of what both see; 1 where there are too few frames to ask."""
+    used, scale = solution.used, solver.coarse
+    if len(used) < 4:
+        return 1.0
+    whole = replace(solver.options.sweep, half_min=len(used) + 1, shells=CHECK_SHELLS)
+    low, high = np.percentile(solution.depth[solver.fine.valid], [0.5, 99.5]) / MEDIAN_DEPTH
+    between = (0.7 * float(low), 1.4 * float(high))
+    halves = np.array_split(used, 2)
+    halves = np.array_split(used, 2)
+    (early, sure_early), (late, sure_late) = (
+        solver.sweep(pyramids, solution.T_fr, half, between, scale, whole) for half in halves
+    )
+    both = np.logical_and(*(solver.seen(pyramids, solution.T_fr, half, early, scale) for half in halves))
+    if not both.any():
+        return 0.0
+    sure = np.minimum(sure_early, sure_late)
+    both &= sure >= np.median(sure[both])
+    return float((np.abs(np.log(early / late)) < AGREE)[both].mean())
+
+
+def resize_down(depth: F32, shape: tuple[int, ...]) -> F32:
+    """Every n-th pixel of depth (H, W)."""
+    step = depth.shape[1] // shape[1]
+    return np.ascontiguousarray(depth[step // 2 :: step, step // 2 :: step][: shape[0], : shape[1]])

@@ -1,0 +1,89 @@
+"""PanoGS in narrow views: what enters them, and starts that come late."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from panobench.cameras.base import Camera
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.factory import parse_camera_option
+from panobench.cameras.pinhole import PinholeCamera
+from panobench.datasets.converted import ConvertedSequence
+from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.depth.base import DepthEstimator
+from panobench.depth.bootstrap import BootstrapDepth
+from panobench.geometry import umeyama
+from panobench.methods.base import MethodContext
+from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.recent import RecentFrame
+from panobench.methods.panogs.system import PanogsMethod, _Record
+from panobench.methods.panogs.views import View
+from panobench.types import DepthEstimate, Frame
+
+
+@pytest.mark.slow
+def test_tracks_a_pinhole_view_of_a_room() -> None:
+    source = RoomsDataset().open("tiny")
+    choice = parse_camera_option("pinhole:front", source.camera, 288)
+    sequence = ConvertedSequence(source, choice.camera, choice.R_target_source)
+    method = PanogsMethod(PanogsConfig())
+    method.start(sequence.camera, MethodContext(make_depth=BootstrapDepth))
+    for frame in sequence.frames():
+        method.track(frame)
+    estimate = method.finish()
+    assert len(estimate.trajectory) == len(sequence)
+    truth = sequence.groundtruth
+    assert truth is not None
+    fit = umeyama(estimate.trajectory.positions, truth.positions)
+    error = np.linalg.norm(fit.apply_points(estimate.trajectory.positions) - truth.positions, axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.025
+
+
+def _turning(camera: Camera, degrees: float) -> int:
+    """How far a camera that turns by so much a frame looks back."""
+    method = PanogsMethod()
+    method.start(camera, MethodContext())
+    empty = np.zeros((0, 0), np.float32)
+    for k in range(13):
+        a = np.deg2rad(degrees * k)
+        T = np.eye(4)
+        T[0, 0], T[0, 2], T[2, 0], T[2, 2] = np.cos(a), np.sin(a), -np.sin(a), np.cos(a)
+        view = View(k, np.zeros((1, 1, 3), np.uint8), T)
+        method.records[k] = _Record(k / 15, view, np.eye(4))
+        method.recent._frames.append(RecentFrame(k, view.image, empty, empty))
+    return method._delay(2.0)
+
+
+def test_a_narrow_view_that_turns_looks_back_less_far() -> None:
+    pinhole, config = PinholeCamera.from_fov(96, 120, 60), PanogsConfig()
+    assert _turning(pinhole, 0.0) == config.delay
+    assert config.delay_min < _turning(pinhole, 4.0) < config.delay
+    assert _turning(pinhole, 15.0) == config.delay_min
+    assert _turning(ErpCamera(96, 48), 15.0) == config.delay
+
+
+class LateDepth(DepthEstimator):
+    """Knows the depth of its third frame only, and where the first two were."""
+
+    def start(self, camera: Camera, seed: int = 0) -> None:
+        self.shape, self.seen = (camera.height, camera.width), 0
+
+    def add(self, frame: Frame) -> DepthEstimate | None:
+        self.seen += 1
+        if self.seen < 4:
+            return None
+        poses = {k: np.eye(4) for k in range(4)}
+        poses[0][0, 3], poses[1][0, 3], poses[3][0, 3] = -0.02, -0.01, 0.01
+        return DepthEstimate(np.full(self.shape, 2.0, np.float32), 2, T_wc=poses)
+
+
+def test_frames_before_the_first_with_depth_keep_the_estimators_poses() -> None:
+    method = PanogsMethod(PanogsConfig(mapping_iterations=2, initial_iterations=2))
+    method.start(ErpCamera(64, 32), MethodContext(make_depth=LateDepth))
+    image = np.random.default_rng(0).integers(0, 255, (32, 64, 3), dtype=np.uint8)
+    for k in range(4):
+        method.track(Frame(k, k / 15, image))
+    estimate = method.finish()
+    assert len(estimate.trajectory) == 4
+    assert estimate.trajectory.positions[:3, 0] == pytest.approx([-0.02, -0.01, 0.0])
