@@ -19,7 +19,6 @@ from panobench.photometric.pyramid import F32
 from panobench.photometric.warp import sample, to_pixel
 from panobench.splat.kernel_options import JIT, PARALLEL
 
-
 #: Runs of pixels whose sums are taken apart: the same for every number of threads, so that the sums are too.
 _BLOCKS = 16
 

@@ -155,16 +155,12 @@ class LearningRates:
 class GaussianAdam:
     """Optimiser state that grows and shrinks with its map."""
 
-    def __init__(
-        self, n: int, beta1: float = 0.9, beta2: float = 0.999, decay_steps: float = np.inf, decay_floor: float = 0.0
-    ) -> None:
-        """decay_steps: after so many steps a Gaussian's rates have halved, and so on like 1 / steps down to decay_floor."""
+    def __init__(self, n: int, beta1: float = 0.9, beta2: float = 0.999) -> None:
         self.beta1, self.beta2 = beta1, beta2
         self.m, self.v = np.zeros((n, PARAMETERS), np.float32), np.zeros((n, PARAMETERS), np.float32)
         self.steps = np.zeros(n, np.int32)
         number = np.arange(1, _CORRECTED + 1)[:, None]
         self._corrections = (1.0 / (1.0 - np.array([beta1, beta2]) ** number)).astype(np.float32)
-        self._corrections[:, 0] *= np.maximum(1.0 / (1.0 + number[:, 0] / decay_steps), decay_floor)
 
     def step(
         self,

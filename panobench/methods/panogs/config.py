@@ -62,8 +62,6 @@ class PanogsConfig:
     opacity_rate: float = 0.1
     colour_rate: float = 0.02
     loss_knee: float = 0.05
-    rate_decay: float = 0.0  # steps after which a Gaussian's rates have halved; 0: they do not decay
-    rate_floor: float = 0.1
     adam_beta1: float = 0.9
     adam_beta2: float = 0.99
     isotropy: float = 0.0

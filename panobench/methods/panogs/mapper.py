@@ -35,9 +35,7 @@ class Mapper:
         self.rng = np.random.default_rng(seed)
         self.weights = pixel_weights(camera, config.loss)
         self.map = GaussianMap.empty()
-        self.adam = GaussianAdam(
-            0, config.adam_beta1, config.adam_beta2, config.rate_decay or np.inf, config.rate_floor
-        )
+        self.adam = GaussianAdam(0, config.adam_beta1, config.adam_beta2)
         self.born = np.zeros(0, np.int32)  # keyframe number at which each Gaussian was inserted
         self.window: list[View] = []
         self.keyframes: list[View] = []

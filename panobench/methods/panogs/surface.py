@@ -101,9 +101,9 @@ def seed_gaussians(
 ) -> GaussianMap:
     """Discs at ``pixels`` (M, 2) on the surface given by radial ``depth`` (H, W), coloured from the image.
 
-    spacing_rad: angle between neighbouring seeds, one for all or (M,); a disc's standard deviation is scale_factor x spacing x depth,
-    stretched along the tilt of the surface so that it still covers its share of the image, and ``flatten`` times
-    that along the normal. Pixels without depth are skipped.
+    spacing_rad: angle between neighbouring seeds, one for all or (M,); a disc's standard deviation is
+    scale_factor x spacing x depth, stretched along the tilt of the surface so that it still covers its share of the
+    image, and ``flatten`` times that along the normal. Pixels without depth are skipped.
     """
     x, y = _nearest(camera, pixels)
     d = depth[y, x].astype(np.float64)
