@@ -18,6 +18,7 @@ class PanogsConfig:
     tracking_iterations: int = 15  # of solver "adam"
     tracking_renders: int = 2
     exposure: bool = False
+    relocalise: bool = True  # a frame the map does not explain gets no pose until it is found again
     loss: Literal["cosine", "uniform", "gaussian"] = "cosine"
     # Keyframes (MonoGS's rule)
     window: int = 8
@@ -80,6 +81,7 @@ class PanogsConfig:
 #: The paper's solver, iterations and projection.
 PAPER: dict[str, Any] = {
     "projection": "erp",
+    "relocalise": False,
     "keyframe_new": 1.0,
     "densify": False,
     "pixels_per_gaussian": 4.0,

@@ -18,7 +18,9 @@ from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
+from panobench.methods.panogs.places import Places
 from panobench.methods.panogs.recent import RecentFrame, RecentFrames
+from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.smoothing import Smoother
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
@@ -68,6 +70,8 @@ class PanogsMethod(OnlineMethod):
         self.new_depth = NewDepth(camera, self.recent.scale)
         self.view_share = ViewShare(camera)
         self.narrow = self.view_share.steradians < NARROW
+        self.places = Places(camera)
+        self.relocaliser = Relocaliser(self.tracker, self.places)
         self.waiting: list[Frame] = []
         self.records: dict[int, _Record] = {}
         self.numbers: dict[int, dict[str, float]] = {}
@@ -98,6 +102,7 @@ class PanogsMethod(OnlineMethod):
     def _skip(self, frame: Frame) -> None:
         """No pose for this frame; the motion before it is taken to go on."""
         self.numbers[frame.index] = {"blank": 1.0}
+        self.relocaliser.interrupted()
         if self.tracker.T_last is not None:
             self.tracker.T_last = self.tracker.predict()
 
@@ -117,6 +122,7 @@ class PanogsMethod(OnlineMethod):
         out = self.renderer.forward(self.mapper.map, view.T_wc, count_touched=True)
         view.touched = out.touched
         self.mapper.add_keyframe(view, [view])
+        self.places.add(self.places.thumbnail(self.tracker.frame_pyramid(view.image)[-1]))
         self.mapper.optimise(self.config.initial_iterations, poses=False)
         self.tracker.reset(view.T_wc)
         self.records[first.index] = _Record(first.time, view, np.eye(4))
@@ -133,6 +139,12 @@ class PanogsMethod(OnlineMethod):
         if hint is not None and self.tracker.T_last is not None:
             self.tracker.velocity = invert_pose(self.tracker.T_last) @ hint
         tracked = self.tracker.track(frame.image, self.mapper.map)
+        if self.config.relocalise:
+            found = self.relocaliser.judge(tracked, self.mapper.map, self.mapper.keyframes)
+            if found is None:
+                self.numbers[frame.index] = {"lost": 1.0, "tracking_s": time.perf_counter() - began}
+                return
+            tracked = found
         depth = self.mapper.local_depth(tracked.render)
         self.recent.add(frame.index, frame.image, self.tracker.pyramid, tracked.T_wc[:3, 3], depth)
         anchor = self.mapper.window[0]
@@ -174,6 +186,7 @@ class PanogsMethod(OnlineMethod):
         if self.config.densify and new_share < self.config.split_new:
             m.split(view, tracked.render, self.track_renderer, ~unknown)
         before = len(m.map)
+        self.places.add(self.places.thumbnail(self.tracker.pyramid[-1]))
         record = self.records[frame.index]
         record.anchor, record.relative = view, np.eye(4)
         self._look_back(local)
