@@ -8,7 +8,7 @@ thumbnails say, and at the keyframes that look most alike. What the map explains
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +44,8 @@ class Relocaliser:
 
     def __init__(self, tracker: Tracker, places: Places) -> None:
         self.tracker, self.places = tracker, places
+        # Exposure may have changed since a place was mapped.
+        self.options = replace(tracker.options, exposure=True)
         self.usual: deque[float] = deque(maxlen=USUAL_FRAMES)
         self.lost_for = 0
         self._good: tuple[Pose, F32] | None = None
@@ -73,6 +75,11 @@ class Relocaliser:
             return tracked
         render = self._render(gaussians, tracked.T_wc)
         return replace(tracked, render=render) if agreement(frame, render, weights) >= needed else None
+
+    def moved(self, move: Callable[[Pose], Pose]) -> None:
+        """The map was moved (a loop was closed): the last good pose goes with it."""
+        if self._good is not None:
+            self._good = (move(self._good[0]), self._good[1])
 
     def _accept(self, tracked: Tracked, residual: float) -> None:
         self.usual.append(residual)
@@ -118,7 +125,7 @@ class Relocaliser:
         tracker, T, iterations = self.tracker, T_wc, 0
         for _ in range(ROUNDS):
             render = tracker.renderer.forward(gaussians, T, sloped=True)
-            a = align(tracker.make_reference(render, len(frame)), frame, np.eye(4), tracker.options)
+            a = align(tracker.make_reference(render, len(frame)), frame, np.eye(4), self.options)
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations
             if tracker.moved_px(a.T_fr, render) < 1.0:
