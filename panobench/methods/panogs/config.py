@@ -18,6 +18,7 @@ class PanogsConfig:
     tracking_iterations: int = 15  # of solver "adam"
     tracking_renders: int = 2
     exposure: bool = False
+    relocalise: bool = True  # a frame the map does not explain gets no pose until it is found again
     loss: Literal["cosine", "uniform", "gaussian"] = "cosine"
     # Keyframes (MonoGS's rule)
     window: int = 8
@@ -71,6 +72,7 @@ class PanogsConfig:
     split_new: float = 0.02  # with more of the image unknown or wrong nothing is split: that is not for want of detail
     prune_opacity: float = 0.05
     final_iterations: int = 0
+    loop: bool = False  # close loops: parts of the map long out of sight sleep, are recognised, correct the drift since
     # Depth of the first frame when the run names no estimator
     constant_depth: float = 2.0
 
@@ -78,6 +80,7 @@ class PanogsConfig:
 #: The paper's solver, iterations and projection.
 PAPER: dict[str, Any] = {
     "projection": "erp",
+    "relocalise": False,
     "keyframe_new": 1.0,
     "densify": False,
     "pixels_per_gaussian": 4.0,

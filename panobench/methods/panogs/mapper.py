@@ -101,7 +101,7 @@ class Mapper:
         # Colours blend linearly, so these gradients are the sums of each Gaussian's blending weights.
         there, anywhere, deep = self.renderer.backward(shares, planar=True).colours.T
         behind = deep / np.maximum(there, 1e-6)
-        return self._drop((there > _CARVE_SHARE * anywhere) & (there > 1e-3) & (distance < _CARVE_BEFORE * behind))
+        return self.drop((there > _CARVE_SHARE * anywhere) & (there > 1e-3) & (distance < _CARVE_BEFORE * behind))
 
     def split(
         self, view: View, render: RenderOutput, renderer: Renderer, known: NDArray[np.bool_] | None = None
@@ -131,7 +131,7 @@ class Mapper:
                 seen.touched = np.concatenate([t, t[which], t[which]])
         gone = np.zeros(len(self.map), bool)
         gone[which] = True
-        return self._drop(gone)
+        return self.drop(gone)
 
     def local_depth(self, render: RenderOutput) -> float:
         """Median rendered depth, from every fourth row and column; the first map's where nothing is drawn."""
@@ -244,9 +244,9 @@ class Mapper:
         logit = np.log(self.config.prune_opacity / (1 - self.config.prune_opacity))
         keep = (g.opacity_logits > logit) & (g.log_scales.max(axis=1) < np.log(0.3 * self.median_depth))
         keep &= np.isfinite(g.means).all(axis=1) & np.isfinite(g.log_scales).all(axis=1)
-        return self._drop(~keep)
+        return self.drop(~keep)
 
-    def _drop(self, gone: NDArray[np.bool_]) -> int:
+    def drop(self, gone: NDArray[np.bool_]) -> int:
         dropped, keep = int(np.count_nonzero(gone)), ~gone
         if dropped:
             self.map, self.born = self.map.select(keep), self.born[keep]

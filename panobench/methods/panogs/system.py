@@ -15,10 +15,14 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.dormant import Dormant, anchors_of
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
+from panobench.methods.panogs.loops import DRIFT_MIN, LoopCloser, carry_out
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
+from panobench.methods.panogs.places import Places, Thumbnail
 from panobench.methods.panogs.recent import RecentFrame, RecentFrames
+from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.smoothing import Smoother
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
@@ -68,6 +72,10 @@ class PanogsMethod(OnlineMethod):
         self.new_depth = NewDepth(camera, self.recent.scale)
         self.view_share = ViewShare(camera)
         self.narrow = self.view_share.steradians < NARROW
+        self.places = Places(camera)
+        self.relocaliser = Relocaliser(self.tracker, self.places)
+        self.closer = LoopCloser(self.tracker, self.places, self.relocaliser.descend)
+        self.dormant = Dormant()
         self.waiting: list[Frame] = []
         self.records: dict[int, _Record] = {}
         self.numbers: dict[int, dict[str, float]] = {}
@@ -98,6 +106,7 @@ class PanogsMethod(OnlineMethod):
     def _skip(self, frame: Frame) -> None:
         """No pose for this frame; the motion before it is taken to go on."""
         self.numbers[frame.index] = {"blank": 1.0}
+        self.relocaliser.interrupted()
         if self.tracker.T_last is not None:
             self.tracker.T_last = self.tracker.predict()
 
@@ -117,6 +126,7 @@ class PanogsMethod(OnlineMethod):
         out = self.renderer.forward(self.mapper.map, view.T_wc, count_touched=True)
         view.touched = out.touched
         self.mapper.add_keyframe(view, [view])
+        self.places.add(self.places.thumbnail(self.tracker.frame_pyramid(view.image)[-1]))
         self.mapper.optimise(self.config.initial_iterations, poses=False)
         self.tracker.reset(view.T_wc)
         self.records[first.index] = _Record(first.time, view, np.eye(4))
@@ -133,6 +143,13 @@ class PanogsMethod(OnlineMethod):
         if hint is not None and self.tracker.T_last is not None:
             self.tracker.velocity = invert_pose(self.tracker.T_last) @ hint
         tracked = self.tracker.track(frame.image, self.mapper.map)
+        if self.config.relocalise:
+            found = self.relocaliser.judge(tracked, self.mapper.map, self.mapper.keyframes)
+            if found is None:
+                self.numbers[frame.index] = {"lost": 1.0, "tracking_s": time.perf_counter() - began}
+                self.dormant.wake(self.mapper)  # the camera may be anywhere
+                return
+            tracked = found
         depth = self.mapper.local_depth(tracked.render)
         self.recent.add(frame.index, frame.image, self.tracker.pyramid, tracked.T_wc[:3, 3], depth)
         anchor = self.mapper.window[0]
@@ -174,6 +191,8 @@ class PanogsMethod(OnlineMethod):
         if self.config.densify and new_share < self.config.split_new:
             m.split(view, tracked.render, self.track_renderer, ~unknown)
         before = len(m.map)
+        thumbnail = self.places.thumbnail(self.tracker.pyramid[-1])
+        self.places.add(thumbnail)
         record = self.records[frame.index]
         record.anchor, record.relative = view, np.eye(4)
         self._look_back(local)
@@ -183,7 +202,31 @@ class PanogsMethod(OnlineMethod):
         m.plan(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
         if new_share > self.config.sweep_share:  # what is new must be drawn well before the next frame is tracked on it
             m.work(len(m.todo))
+        if self.config.loop and self.places.turns:
+            self.tracker.velocity[:3, 3] *= self._close_loop(view, thumbnail)
         return True
+
+    def _close_loop(self, view: View, thumbnail: Thumbnail) -> float:
+        """Look for a loop at the newest keyframe and close it; returns by how much the scale there changed."""
+        m, closer, dormant = self.mapper, self.closer, self.dormant
+        assert view.touched is not None
+        closer.tie(view.touched, anchors_of(m.born), len(m.keyframes) - 1)
+        dormant.update(m, view.touched)
+        loop = closer.look(thumbnail, dormant.map, anchors_of(dormant.born), m)
+        if loop is None:
+            return 1.0
+        scale = 1.0
+        if loop.size >= DRIFT_MIN:
+            moves = closer.spread(loop, m.keyframes)
+            carry_out(moves, m, dormant, self.records)
+            self.relocaliser.moved(moves[-1].apply_poses)
+            scale = moves[-1].scale
+        dormant.wake(m, loop.groups)
+        self.tracker.reference = None
+        m.plan(self.config.mapping_iterations)
+        self.numbers[view.index]["loop"] = loop.size
+        self.context.log(f"frame {view.index}: loop to frame {m.keyframes[loop.old].index}, drift {loop.size:.4f}")
+        return scale
 
     def _look_back(self, depth: float) -> None:
         """Where a frame some way back saw things new: refine the poses since, and give the new its Gaussians.
@@ -247,6 +290,7 @@ class PanogsMethod(OnlineMethod):
             estimate = self.estimator.finish() if self.estimator else None
             if estimate is not None:
                 self._initialise(estimate)
+        self.dormant.wake(self.mapper)
         self.mapper.work(len(self.mapper.todo))
         if self.config.final_iterations and self.mapper.keyframes:
             self.mapper.window = [v for v in self.mapper.keyframes if v.image.size]
@@ -267,11 +311,12 @@ class PanogsMethod(OnlineMethod):
     def live_map(self) -> LiveMap | None:
         m = self.mapper
         keyframes = np.array([v.T_wc for v in m.keyframes]).reshape(-1, 4, 4)
-        return LiveMap(m.map.means, np.clip(m.map.colours, 0.0, 1.0), keyframes) if len(m.map) else None
+        whole = self.dormant.whole(m)
+        return LiveMap(whole.means, np.clip(whole.colours, 0.0, 1.0), keyframes) if len(whole) else None
 
     def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
         if not len(self.mapper.map):
             return None
         projection = self._projection(camera)
         renderer = Renderer(camera, projection if projection == camera.kind else "sphere", self.config.low_pass)
-        return np.ascontiguousarray(np.clip(renderer.forward(self.mapper.map, T_wc).colour, 0.0, 1.0))
+        return np.ascontiguousarray(np.clip(renderer.forward(self.dormant.whole(self.mapper), T_wc).colour, 0.0, 1.0))

@@ -97,7 +97,7 @@ class Tracker:
             a = align(self.reference, frame, np.eye(4), self.options, coarsest=1 if known else None)
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations
-            if self._moved_px(a.T_fr, render) < _RENDER_AGAIN_PX:
+            if self.moved_px(a.T_fr, render) < _RENDER_AGAIN_PX:
                 break
         return Tracked(T, render, a.cost, iterations, bool(np.isfinite(a.cost)) and a.overlap > 0.5, a)
 
@@ -106,7 +106,7 @@ class Tracker:
         reference = make_reference(self.camera, luma_of_planes(render.planes), depth, levels, self.options)
         return reweighted(reference, self.config.loss)
 
-    def _moved_px(self, T: NDArray[np.float64], render: RenderOutput) -> float:
+    def moved_px(self, T: NDArray[np.float64], render: RenderOutput) -> float:
         """How far the motion ``T`` moves a pixel at the median depth, roughly."""
         depth = float(np.median(render.depth))
         return float(np.linalg.norm(T[:3, 3]) / max(depth, 1e-9) + np.linalg.norm(T[:3, :3] - np.eye(3))) / self.pixel
