@@ -17,7 +17,8 @@ class PanogsConfig:
     solver: Literal["gauss-newton", "adam"] = "gauss-newton"
     tracking_iterations: int = 15  # of solver "adam"
     tracking_renders: int = 2
-    exposure: bool = False
+    exposure: bool = False  # gain and offset are unknowns of every alignment
+    match_exposure: bool = True  # frames are brought to the map's exposure if theirs differs plainly
     relocalise: bool = True  # a frame the map does not explain gets no pose until it is found again
     loss: Literal["cosine", "uniform", "gaussian"] = "cosine"
     # Keyframes (MonoGS's rule)
@@ -85,6 +86,7 @@ PAPER: dict[str, Any] = {
     "densify": False,
     "pixels_per_gaussian": 4.0,
     "steps_per_frame": 0,
+    "match_exposure": False,
     "carve": False,
     "sweep": False,
     "smooth": False,

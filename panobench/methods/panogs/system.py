@@ -6,7 +6,7 @@ Mao et al., "PanoGS-SLAM: Panoramic 3D Gaussian Splatting SLAM". What differs fr
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from panobench.geometry import invert_pose, renormalise
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.dormant import Dormant, anchors_of
+from panobench.methods.panogs.exposure import ExposureGuard
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.loops import DRIFT_MIN, LoopCloser, carry_out
 from panobench.methods.panogs.mapper import Mapper
@@ -27,7 +28,7 @@ from panobench.methods.panogs.smoothing import Smoother
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
 from panobench.photometric.overlap import ViewShare
-from panobench.splat.render import Renderer
+from panobench.splat.render import Renderer, RenderOutput
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
@@ -72,6 +73,7 @@ class PanogsMethod(OnlineMethod):
         self.new_depth = NewDepth(camera, self.recent.scale)
         self.view_share = ViewShare(camera)
         self.narrow = self.view_share.steradians < NARROW
+        self.exposure = ExposureGuard(self.mapper.weights, not self.narrow)
         self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places)
         self.closer = LoopCloser(self.tracker, self.places, self.relocaliser.descend)
@@ -89,8 +91,10 @@ class PanogsMethod(OnlineMethod):
             self._skip(frame)
             return None
         if self.depth is None:
+            if not self.waiting:
+                self.exposure.start(frame.image)
             self.waiting.append(frame)
-            estimate = self.estimator.add(frame) if self.estimator else self._constant_depth(frame)
+            estimate = self.estimator.add(self._exposed(frame)) if self.estimator else self._constant_depth(frame)
             if estimate is None:
                 return None
             self._initialise(estimate)
@@ -98,6 +102,13 @@ class PanogsMethod(OnlineMethod):
             self._process(frame)
         record = self.records.get(frame.index)
         return None if record is None else record.T_wc
+
+    def _exposed(self, frame: Frame, render: RenderOutput | None = None) -> Frame:
+        """The frame at the map's exposure, by its own ``render`` if there is one; itself if it is there already."""
+        if not self.config.match_exposure:
+            return frame
+        image = self.exposure.before(frame.image) if render is None else self.exposure.after(frame.image, render)
+        return frame if image is frame.image else replace(frame, image=image)
 
     def _blank(self, image: NDArray[np.uint8]) -> bool:
         """Nothing to align or to map: a closed shutter, a saturated sensor, fog."""
@@ -142,7 +153,7 @@ class PanogsMethod(OnlineMethod):
         began = time.perf_counter()
         if hint is not None and self.tracker.T_last is not None:
             self.tracker.velocity = invert_pose(self.tracker.T_last) @ hint
-        tracked = self.tracker.track(frame.image, self.mapper.map)
+        tracked = self.tracker.track(self._exposed(frame).image, self.mapper.map)
         if self.config.relocalise:
             found = self.relocaliser.judge(tracked, self.mapper.map, self.mapper.keyframes)
             if found is None:
@@ -151,6 +162,9 @@ class PanogsMethod(OnlineMethod):
                 return
             tracked = found
         depth = self.mapper.local_depth(tracked.render)
+        given, frame = frame, self._exposed(frame, tracked.render)
+        if frame is not given:
+            self.tracker.pyramid = self.tracker.frame_pyramid(frame.image)
         self.recent.add(frame.index, frame.image, self.tracker.pyramid, tracked.T_wc[:3, 3], depth)
         anchor = self.mapper.window[0]
         self.records[frame.index] = _Record(frame.time, anchor, invert_pose(anchor.T_wc) @ tracked.T_wc)
