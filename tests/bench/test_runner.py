@@ -21,6 +21,7 @@ from panobench.bench.views import BlindSequence, FrameReader
 from panobench.cameras.erp import ErpCamera
 from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import PanobenchError, UnavailableError, UnknownNameError, UnsupportedError, UsageError
+from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.plugins import PluginWarning
 from panobench.testing import GivenImages
 
@@ -76,7 +77,7 @@ def test_a_whole_run(tmp_path: Path) -> None:
     assert provenance["machine"]["cpu"]
     assert run_json["method"]["origin"] == "panobench-fake 1.5"
     assert run_json["depth"] == {"source": None, "oracle": False, "poses_given": False}
-    assert run_json["protocol"] == "1.1"
+    assert run_json["protocol"] == PROTOCOL_VERSION
     assert "--holdout 4" in provenance["command"]
     renders = {p.name for p in (folder / "renders").iterdir()}
     assert {"000000.jpg", "000000_gt.jpg", "000011.jpg", "novel_000.jpg", "novel_000_gt.jpg"} <= renders
