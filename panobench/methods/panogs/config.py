@@ -30,7 +30,7 @@ class PanogsConfig:
     keyframe_new: float = 0.04
     keyframe_new_interval: int = 4
     # Gaussians
-    pixels_per_gaussian: float = 4.5  # of the seeds; the map gets finer where it must (densify)
+    pixels_per_gaussian: float = 6.0  # of the seeds; the map gets finer where it must (densify)
     insert_opacity: float = 0.5
     insert_error: float = 0.12
     sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel

@@ -32,7 +32,7 @@ class DetailLevel:
 
 
 #: Shares sum to 1, and share x density to 1.
-LEVELS = (DetailLevel(0.25, 1.8), DetailLevel(0.30, 1.0), DetailLevel(0.45, 0.56))
+LEVELS = (DetailLevel(0.25, 2.0), DetailLevel(0.30, 1.05), DetailLevel(0.45, 0.41))
 EVEN = (DetailLevel(1.0, 1.0),)
 
 
