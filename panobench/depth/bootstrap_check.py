@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from panobench.depth.bootstrap_solve import HUBER, MEDIAN_DEPTH, Pose, Solution, Solver
-from panobench.photometric.align import AlignOptions, align, mean_cost
+from panobench.photometric.align import align, mean_cost
 from panobench.photometric.pyramid import F32
+from panobench.photometric.reference import AlignOptions
 
 #: The same for telling two solutions apart.
 FINE_HUBER = 0.02

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
-from panobench.photometric.align import AlignOptions, Reference, align, make_reference, mean_cost
+from panobench.photometric.align import align, mean_cost
 from panobench.photometric.bundle import refine
 from panobench.photometric.pyramid import F32
+from panobench.photometric.reference import AlignOptions, Reference, make_reference
 from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
 from panobench.photometric.sweep import reprojection_error
 from panobench.photometric.warp import camera_code

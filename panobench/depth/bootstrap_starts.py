@@ -15,9 +15,10 @@ import numpy as np
 from panobench.cameras.base import Camera
 from panobench.depth.bootstrap_solve import HUBER, MEDIAN_DEPTH, Pose, Solver
 from panobench.geometry import invert_pose, renormalise
-from panobench.photometric.align import Alignment, Reference, align, mean_cost
+from panobench.photometric.align import Alignment, align, mean_cost
 from panobench.photometric.overlap import ViewShare
 from panobench.photometric.pyramid import F32
+from panobench.photometric.reference import Reference
 from panobench.photometric.turn import TurnFinder
 from panobench.types import Frame
 

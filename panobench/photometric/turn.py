@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.photometric.align import AlignOptions, align, make_reference, mean_cost
+from panobench.photometric.align import align, mean_cost
 from panobench.photometric.pyramid import F32
+from panobench.photometric.reference import AlignOptions, make_reference
 from panobench.photometric.stereo import WorkingScale
 
 #: Turns about the camera's y axis that are tried as starts.

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from panobench.photometric.align import Reference
 from panobench.photometric.pyramid import F32
+from panobench.photometric.reference import Reference
 from panobench.photometric.warp import ERP
 from panobench.splat.loss import GAUSSIAN_LATITUDE_DEG, Weighting
 

@@ -8,8 +8,9 @@ import pytest
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import invert_pose, se3_exp, se3_log
-from panobench.photometric.align import AlignOptions, align, make_reference
+from panobench.photometric.align import align
 from panobench.photometric.pyramid import halve, pyramid
+from panobench.photometric.reference import AlignOptions, make_reference
 from panobench.photometric.warp import atan2_fast
 
 RADIUS = 2.0

@@ -11,8 +11,9 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.views import PoseAdam
-from panobench.photometric.align import Alignment, AlignOptions, Reference, align, make_reference
+from panobench.photometric.align import Alignment, align
 from panobench.photometric.pyramid import F32, luma_of_frame, luma_of_planes, pyramid
+from panobench.photometric.reference import AlignOptions, Reference, make_reference
 from panobench.photometric.weighting import reweighted
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights

@@ -1,0 +1,194 @@
+"""What frames are aligned to: an image with depth, as selected pixels with points and Jacobians on a pyramid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit, prange
+
+from panobench.cameras.base import Camera
+from panobench.photometric.pyramid import F32, halve
+from panobench.photometric.warp import camera_code, halved
+from panobench.splat.kernel_options import JIT, PARALLEL
+
+
+@dataclass(frozen=True)
+class AlignOptions:
+    """iterations: most per level, coarsest first (the last repeats). huber: residual where the cost turns linear, in
+    robust standard deviations of the level's residuals at its start, at least huber_min (of 1): with a fixed
+    threshold the few strong edges, where interpolation and occlusion err, outvote weakly textured walls.
+    cut: on the finest cut_levels levels, larger residuals (in units of the Huber threshold) do not count: regions the
+    reference has wrong. depth_edge: pixels whose four neighbours span a larger ratio of depths (at full size) are
+    left out. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v) is ill-suited there).
+    step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
+    turn_only: keep the start's translation.
+    """
+
+    iterations: tuple[int, ...] = (12, 8, 6, 5)
+    huber: float = 1.0
+    huber_min: float = 0.002
+    cut: float = 10.0
+    cut_levels: int = 1
+    depth_edge: float = 1.1
+    latitude_limit_deg: float = 75.0
+    step_m: float = 2e-5
+    step_rad: float = 1e-5
+    exposure: bool = False
+    gradient_min: float = 2e-3
+    turn_only: bool = False
+
+
+#: The options when none are given.
+DEFAULT = AlignOptions()
+
+
+@dataclass(frozen=True)
+class ReferenceLevel:
+    """Selected pixels of one pyramid level: points (3, n) camera frame, jacobian (6, n), value (n,), weight (n,)."""
+
+    points: F32
+    jacobian: F32
+    value: F32
+    weight: F32
+    camera: F32
+
+    @cached_property
+    def total(self) -> float:
+        """Sum of the weights."""
+        return float(self.weight.sum(dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """An image with depth, ready to align frames to; level 0 is full size."""
+
+    levels: list[ReferenceLevel]
+    code: int
+
+
+@njit(**JIT)
+def _pixel_angles(code, cam, w, h):  # type: ignore[no-untyped-def]
+    """Sine and cosine of every column's longitude and every row's latitude (panorama), (4, max(w, h))."""
+    out = np.empty((4, max(w, h)))
+    if code == 0:
+        for x in range(w):
+            lon = ((x + 0.5) / cam[0] - 0.5) * 2 * np.pi
+            out[0, x], out[1, x] = np.sin(lon), np.cos(lon)
+        for y in range(h):
+            lat = (0.5 - (y + 0.5) / cam[1]) * np.pi
+            out[2, y], out[3, y] = np.sin(lat), np.cos(lat)
+    return out
+
+
+@njit(**JIT)
+def _select_row(  # type: ignore[no-untyped-def]
+    y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, points, jacobian, value, weight, n, fill
+):
+    """Selected pixels of row y, written from index n on if ``fill``; returns the new count."""
+    w = image.shape[1]
+    if code == 0 and abs(angles[2, y]) > sin_limit:
+        return n
+    for x in range(w):
+        d = depth[y, x]
+        if not d > 0:
+            continue
+        xm, xp = x - 1, x + 1
+        if code == 0:
+            xm, xp = (w - 1 if x == 0 else xm), (0 if xp == w else xp)
+        elif xm < 0 or xp >= w:
+            continue
+        gx = 0.5 * (image[y, xp] - image[y, xm])
+        gy = 0.5 * (image[y + 1, x] - image[y - 1, x])
+        if not (abs(gx) + abs(gy) >= gradient_min):  # also drops NaN
+            continue
+        near = min(min(depth[y, xm], depth[y, xp]), min(depth[y - 1, x], depth[y + 1, x]))
+        far = max(max(depth[y, xm], depth[y, xp]), max(depth[y - 1, x], depth[y + 1, x]))
+        if max(far, d) > edge * min(near, d):
+            continue
+        if fill:
+            if code == 0:
+                c = angles[3, y]
+                X, Y, Z = c * angles[0, x] * d, -angles[2, y] * d, c * angles[1, x] * d
+                a, b = cam[0] / (2 * np.pi), cam[1] / np.pi
+                rho, r2 = c * d, d * d
+                rho2 = rho * rho
+                jx = gx * a * Z / rho2 - gy * b * X * Y / (r2 * rho)
+                jy = gy * b * rho / r2
+                jz = -gx * a * X / rho2 - gy * b * Z * Y / (r2 * rho)
+            else:
+                rx, ry = (x + 0.5 - cam[4]) / cam[2], (y + 0.5 - cam[5]) / cam[3]
+                c, Z = 1.0, d / np.sqrt(rx * rx + ry * ry + 1.0)
+                X, Y = rx * Z, ry * Z
+                jx, jy = gx * cam[2] / Z, gy * cam[3] / Z
+                jz = -(jx * X + jy * Y) / Z
+            points[0, n], points[1, n], points[2, n] = X, Y, Z
+            jacobian[0, n], jacobian[1, n], jacobian[2, n] = jx, jy, jz
+            jacobian[3, n] = Y * jz - Z * jy
+            jacobian[4, n] = Z * jx - X * jz
+            jacobian[5, n] = X * jy - Y * jx
+            value[n] = image[y, x]
+            weight[n] = c
+        n += 1
+    return n
+
+
+@njit(**PARALLEL)
+def _select(image, depth, code, cam, sin_limit, gradient_min, edge):  # type: ignore[no-untyped-def]
+    h = image.shape[0]
+    angles = _pixel_angles(code, cam, image.shape[1], h)
+    counts = np.zeros(h + 1, np.int64)
+    e2, e1 = np.empty((0, 0), np.float32), np.empty(0, np.float32)
+    for y in prange(1, h - 1):
+        counts[y + 1] = _select_row(
+            y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, e2, e2, e1, e1, 0, False
+        )
+    for y in range(h):
+        counts[y + 1] += counts[y]
+    n = counts[h]
+    points, jacobian = np.empty((3, n), np.float32), np.empty((6, n), np.float32)
+    value, weight = np.empty(n, np.float32), np.empty(n, np.float32)
+    for y in prange(1, h - 1):
+        _select_row(
+            y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, points, jacobian, value, weight,
+            counts[y], True,
+        )  # fmt: skip
+    return points, jacobian, value, weight
+
+
+@njit(**PARALLEL)
+def _halve_depth(depth, ratio):  # type: ignore[no-untyped-def]
+    """Inverse-depth mean of 2x2 blocks; NaN where fewer than three are known or near and far differ by ``ratio``."""
+    h, w = depth.shape[0] // 2, depth.shape[1] // 2
+    out = np.empty((h, w), np.float32)
+    for y in prange(h):
+        for x in range(w):
+            s, n, near, far = 0.0, 0, 1e30, 0.0
+            for dy in range(2):
+                for dx in range(2):
+                    d = depth[2 * y + dy, 2 * x + dx]
+                    if d > 0:
+                        s += 1.0 / d
+                        n += 1
+                        near, far = min(near, d), max(far, d)
+            out[y, x] = n / s if n >= 3 and far < ratio * near else np.nan
+    return out
+
+
+def make_reference(
+    camera: Camera, luma: F32, depth: F32, levels: int, options: AlignOptions = DEFAULT
+) -> Reference:
+    """Prepare a reference from luma (H, W) in 0..1 and radial depth (H, W), both NaN where unknown."""
+    code, cam = camera_code(camera)
+    sin_limit = float(np.sin(np.deg2rad(options.latitude_limit_deg)))
+    out = []
+    for level in range(levels):
+        if level:
+            luma, depth = halve(luma), _halve_depth(depth, 1.3)
+        parameters = halved(cam, level)
+        points, jacobian, value, weight = _select(
+            luma, depth, code, parameters, sin_limit, options.gradient_min, 1 + (options.depth_edge - 1) * 2**level
+        )
+        out.append(ReferenceLevel(points, jacobian, value, weight, parameters))
+    return Reference(out, code)
