@@ -141,7 +141,10 @@ def draw(growing: Cost, costs: dict[int, Cost], path: Path) -> None:
 
 def report(options: argparse.Namespace, growing: Cost, costs: dict[int, Cost]) -> str:
     packages = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("numpy", "numba"))
-    command = " ".join(["python benchmarks/cost.py", *sys.argv[1:]])
+    given = [*sys.argv[1:]]
+    if "--out" in given:  # where somebody keeps their files is nobody's business
+        del given[given.index("--out") : given.index("--out") + 2]
+    command = " ".join(["python benchmarks/cost.py", *given])
     width, setting = options.growth_width, f"{packages}; default options, bootstrap depth, seed {options.seed}"
     return f"""# What a frame costs panogs
 
