@@ -176,9 +176,7 @@ def _halve_depth(depth, ratio):  # type: ignore[no-untyped-def]
     return out
 
 
-def make_reference(
-    camera: Camera, luma: F32, depth: F32, levels: int, options: AlignOptions = DEFAULT
-) -> Reference:
+def make_reference(camera: Camera, luma: F32, depth: F32, levels: int, options: AlignOptions = DEFAULT) -> Reference:
     """Prepare a reference from luma (H, W) in 0..1 and radial depth (H, W), both NaN where unknown."""
     code, cam = camera_code(camera)
     sin_limit = float(np.sin(np.deg2rad(options.latitude_limit_deg)))
