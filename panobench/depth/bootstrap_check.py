@@ -107,7 +107,6 @@ def _agreement(solver: Solver, pyramids: list[list[F32]], solution: Solution) ->
     low, high = np.percentile(solution.depth[solver.fine.valid], [0.5, 99.5]) / MEDIAN_DEPTH
     between = (0.7 * float(low), 1.4 * float(high))
     halves = np.array_split(used, 2)
-    halves = np.array_split(used, 2)
     (early, sure_early), (late, sure_late) = (
         solver.sweep(pyramids, solution.T_fr, half, between, scale, whole) for half in halves
     )

@@ -283,6 +283,6 @@ def blend_backward(  # type: ignore[no-untyped-def]
                     _backward_span(p, p1z, p2z, buf, lo, n, moments, th, order[k])
 
 
-def new_moments(threads: int, instances: int) -> np.ndarray:
-    """Zeroed (threads, instances, MOMENTS) float32."""
-    return np.zeros((threads, instances, MOMENTS), np.float32)
+def new_moments(threads: int, gaussians: int) -> np.ndarray:
+    """Zeroed (threads, gaussians, MOMENTS) float32."""
+    return np.zeros((threads, gaussians, MOMENTS), np.float32)

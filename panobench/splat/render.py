@@ -16,7 +16,7 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.splat import blend, chain, project
 from panobench.splat.gaussians import F32, GaussianMap
-from panobench.splat.kernel_options import MOMENTS, PACK, TILE_H, TILE_W
+from panobench.splat.kernel_options import PACK, TILE_H, TILE_W
 from panobench.splat.view import CONIC_ERP, Projection, View, make_view
 
 _NO_2D = np.zeros((0, 0), np.float32)
@@ -215,7 +215,7 @@ class Renderer:
         dc = np.ascontiguousarray(d_planes, dtype=np.float32)
         dd = _NO_2D if d_depth is None else np.ascontiguousarray(d_depth, dtype=np.float32)
         do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
-        moments = np.zeros((self.threads, len(s.gaussians), MOMENTS), np.float32)
+        moments = blend.new_moments(self.threads, len(s.gaussians))
         blend.blend_backward(
             s.packed, s.rows, s.out.order, s.starts, s.entries, v.rays, self._wrap, s.tiles, self.threads,
             s.out.planes, s.out.depth, s.out.opacity, s.done, dc, dd, do, moments,

@@ -63,9 +63,7 @@ class Dormant:
         if count == 0:
             return 0
         number, adam = len(mapper.keyframes) - 1, mapper.adam
-        mapper.map = mapper.map.concat(self.map.select(up))
-        mapper.born = np.concatenate([mapper.born, self.born[up]])
-        adam.extend(count)
+        mapper.append(self.map.select(up), self.born[up])
         for mine, kept in zip((adam.m, adam.v, adam.steps), self._adam):
             mine[-count:] = kept[up]
         for k in np.unique(anchors[up]):

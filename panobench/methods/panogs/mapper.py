@@ -111,7 +111,7 @@ class Mapper:
         render: ``renderer``'s last, there; known (H, W): pixels where the map's surface is believed to be right. All
         splits together add at most as many Gaussians as a first image gets.
         """
-        error = np.abs(render.colour - view.image / np.float32(255)).mean(axis=-1)
+        error = self._error(view, render)
         # What is thin gets new Gaussians instead; exactly no error is rare enough to mean "not looked at".
         error = np.where((self.weights > 0) & (render.opacity > 0.9), error, 0).astype(np.float32)
         if known is not None:
@@ -120,11 +120,9 @@ class Mapper:
         if len(which) == 0:
             return 0
         self.split_count += len(which)
-        self.map = self.map.concat(halves(self.map, which))
-        self.adam.extend(2 * len(which))
-        self.born = np.concatenate([self.born, self.born[which], self.born[which]])
-        n = len(self.map) - 2 * len(which)
-        for seen in {id(v): v for v in [*self.window, *self.keyframes]}.values():
+        n = len(self.map)
+        self.append(halves(self.map, which), np.tile(self.born[which], 2))
+        for seen in self._counted():
             if seen.touched is not None:  # the halves are seen where the whole was
                 t = np.zeros(n, np.int32)
                 t[: len(seen.touched)] = seen.touched[:n]
@@ -146,8 +144,22 @@ class Mapper:
         """(H, W): valid pixels whose colour the map misses by more than ``insert_error``, averaged over 5x5 pixels."""
         import cv2
 
-        error = np.abs(render.colour - view.image / np.float32(255)).mean(axis=-1)
-        return (cv2.blur(error, (5, 5)) > self.config.insert_error) & (self.weights > 0)
+        return (cv2.blur(self._error(view, render), (5, 5)) > self.config.insert_error) & (self.weights > 0)
+
+    @staticmethod
+    def _error(view: View, render: RenderOutput) -> F32:
+        """(H, W): mean absolute difference of render and image over the colours, of 1."""
+        return np.asarray(np.abs(render.colour - view.image / np.float32(255)).mean(axis=-1))
+
+    def append(self, new: GaussianMap, born: NDArray[np.int32]) -> None:
+        """Gaussians with a fresh optimiser; ``born`` (N,): how many keyframes there were when they came."""
+        self.map = self.map.concat(new)
+        self.adam.extend(len(new))
+        self.born = np.concatenate([self.born, born])
+
+    def _counted(self) -> list[View]:
+        """The views that may count what they see of each Gaussian, each once."""
+        return list({id(v): v for v in [*self.window, *self.keyframes]}.values())
 
     def _seed(self, view: View, depth: F32, pixels: NDArray[np.float64], spacing: NDArray[np.float64]) -> int:
         c = self.config
@@ -155,9 +167,7 @@ class Mapper:
             self.camera, view.image, depth, pixels, view.T_wc, spacing,
             flatten=c.flatten, scale_factor=c.scale_factor, opacity=c.initial_opacity,
         )  # fmt: skip
-        self.map = self.map.concat(new)
-        self.adam.extend(len(new))
-        self.born = np.concatenate([self.born, np.full(len(new), len(self.keyframes), np.int32)])
+        self.append(new, np.full(len(new), len(self.keyframes), np.int32))
         return len(new)
 
     def add_keyframe(self, view: View, window: list[View]) -> None:
@@ -251,7 +261,7 @@ class Mapper:
         if dropped:
             self.map, self.born = self.map.select(keep), self.born[keep]
             self.adam.select(keep)
-            for view in {id(v): v for v in [*self.window, *self.keyframes]}.values():
+            for view in self._counted():
                 if view.touched is not None and len(view.touched) <= len(keep):
                     view.touched = view.touched[keep[: len(view.touched)]]
         return dropped
