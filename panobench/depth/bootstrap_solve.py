@@ -169,8 +169,8 @@ class Solver:
         """Poses of the frames ``used`` and depths together; the other frames follow at the next alignment."""
         T = np.stack([T_fr[k] for k in used])
         images = _images(pyramids, used, scale)
-        T, _ = refine(pyramids[0][scale.level], scale.rays, depth, images, T, self.code, scale.cam)
-        for k, pose in zip(used, T):
+        bundle = refine(pyramids[0][scale.level], scale.rays, depth, images, T, self.code, scale.cam)
+        for k, pose in zip(used, bundle.T_fr):
             T_fr[k] = pose
 
 

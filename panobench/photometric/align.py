@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from panobench.geometry import invert_pose, renormalise, se3_exp
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import DEFAULT, AlignOptions, Reference, ReferenceLevel
-from panobench.photometric.warp import atan2_fast, sample
-from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
+from panobench.photometric.warp import dot3, project_panorama, project_pinhole, sample
+from panobench.splat.kernel_options import JIT, PARALLEL
 
 #: Unknowns per step: translation (3), rotation (3), log gain, offset.
 UNKNOWNS = 8
@@ -27,7 +27,6 @@ _HESSIAN = UNKNOWNS * (UNKNOWNS + 1) // 2
 _BLOCK = 256
 #: Histogram of absolute residuals: bins and their number in one unit of intensity.
 _BINS, _PER_BIN = 1024, np.float32(4096)
-_HALF, _PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 
 
 @dataclass
@@ -49,39 +48,6 @@ class Alignment:
     gain: float = 0.0
     offset: float = 0.0
     costs: list[float] = field(default_factory=list)
-
-
-@njit(**JIT_FINITE)
-def _project_panorama(X, Y, Z, R, t, w, h, u, v):  # type: ignore[no-untyped-def]
-    for k in range(len(X)):
-        x, y, z = X[k], Y[k], Z[k]
-        px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
-        py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
-        pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
-        rho = np.sqrt(px * px + pz * pz)
-        u[k] = w * (_HALF + atan2_fast(px, pz) * _PER_TURN)
-        v[k] = h * (_HALF + np.float32(2) * atan2_fast(py, rho) * _PER_TURN)
-
-
-@njit(**JIT)
-def _project_pinhole(X, Y, Z, R, t, cam, u, v):  # type: ignore[no-untyped-def]
-    for k in range(len(X)):
-        x, y, z = X[k], Y[k], Z[k]
-        px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
-        py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
-        pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
-        front = pz >= np.float32(1e-3)
-        inv = np.float32(1) / (pz if front else np.float32(1))
-        u[k] = cam[2] * px * inv + cam[4] if front else np.float32(-1e6)
-        v[k] = cam[3] * py * inv + cam[5] if front else np.float32(-1e6)
-
-
-@njit(**JIT_FINITE)
-def _dot3(a, b, c):  # type: ignore[no-untyped-def]
-    s = np.float32(0)
-    for k in range(len(a)):
-        s += a[k] * b[k] * c[k]
-    return s
 
 
 @njit(**PARALLEL)
@@ -109,9 +75,9 @@ def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, o
             hi = min(lo + _BLOCK, last)
             m = hi - lo
             if code == 0:
-                _project_panorama(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, cam[0], cam[1], u, v)
+                project_panorama(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, cam[0], cam[1], u, v)
             else:
-                _project_pinhole(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, cam, u, v)
+                project_pinhole(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, cam, u, v)
             for k in range(m):
                 e = sample(image, u[k], v[k], code) - g * value[lo + k] - off
                 a, wk = abs(e), weight[lo + k]
@@ -139,9 +105,9 @@ def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, o
             q = 0
             for i in range(UNKNOWNS):
                 if i < unknowns:
-                    A[_HESSIAN + i] += _dot3(w[:m], J[i, :m], r[:m])
+                    A[_HESSIAN + i] += dot3(w[:m], J[i, :m], r[:m])
                     for j in range(i, unknowns):
-                        A[q + j - i] += _dot3(w[:m], J[i, :m], J[j, :m])
+                        A[q + j - i] += dot3(w[:m], J[i, :m], J[j, :m])
                 q += UNKNOWNS - i
         out[th] = A
     return out, bins

@@ -16,18 +16,22 @@ from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, se3_exp
 from panobench.photometric.pyramid import F32
-from panobench.photometric.warp import sample, to_pixel
-from panobench.splat.kernel_options import JIT, PARALLEL
+from panobench.photometric.warp import dot3, project_panorama, project_pinhole, sample_slope
+from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
 
 #: Runs of pixels whose sums are taken apart: the same for every number of threads, so that the sums are too.
 _BLOCKS = 16
+#: Pixels worked together.
+_TOGETHER = 128
+_PER_TURN = np.float32(0.5 / np.pi)
 
 
 @dataclass(frozen=True)
 class BundleOptions:
     """cell_px: one pixel, that with the largest gradient, per cell. huber, cut: residuals, in robust standard
     deviations at the start, where the cost turns linear and where a residual (an occlusion, say) stops counting;
-    sigma_min: least standard deviation assumed (of 1). depth_edge: as in alignment.
+    sigma_min: least standard deviation assumed (of 1). depth_edge: as in alignment. small: relative gain of an
+    iteration below which it was the last.
     """
 
     cell_px: int = 3
@@ -38,78 +42,114 @@ class BundleOptions:
     cut: float = 20.0
     sigma_min: float = 0.002
     depth_edge: float = 1.1
+    small: float = 1e-4
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """T_fr (F, 4, 4): the refined poses, at the scale of the depth given; cost: mean robust cost, inf if nothing could
+    be done.
+
+    information (6F, 6F), gradient (6F,): the quadratic that is left of the cost over left twists (translation,
+    rotation) of T_fr once the depths are eliminated, in units of the residuals' variance. A common scale of all
+    translations costs nothing.
+    """
+
+    T_fr: NDArray[np.float64]
+    cost: float
+    information: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+
+    @property
+    def ok(self) -> bool:
+        return bool(np.isfinite(self.cost))
+
+
+@njit(**JIT_FINITE)
+def _jacobians(points, R, t, code, cam, gx, gy, J, jd):  # type: ignore[no-untyped-def]
+    """J (6, n) by the left twist and jd (n,) by the log depth, from the image's slopes (n,) at points (3, n)."""
+    a, e = cam[0] * _PER_TURN, np.float32(2) * cam[1] * _PER_TURN
+    for k in range(len(gx)):
+        px, py, pz = points[0, k], points[1, k], points[2, k]
+        qx = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
+        qy = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
+        qz = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
+        x, y, z = qx + t[0], qy + t[1], qz + t[2]
+        if code == 0:
+            rho2 = x * x + z * z
+            rho, r2 = np.sqrt(rho2), rho2 + y * y
+            p, q = gx[k] * a / rho2, gy[k] * e / (r2 * rho)
+            jx = p * z - q * x * y
+            jy = q * rho2
+            jz = -p * x - q * z * y
+        else:
+            jx, jy = gx[k] * cam[2] / z, gy[k] * cam[3] / z
+            jz = -(jx * x + jy * y) / z
+        J[0, k], J[1, k], J[2, k] = jx, jy, jz
+        J[3, k], J[4, k], J[5, k] = y * jz - z * jy, z * jx - x * jz, x * jy - y * jx
+        jd[k] = jx * qx + jy * qy + jz * qz
 
 
 @njit(**JIT)
 def _residuals_of(  # type: ignore[no-untyped-def]
-    block, first, last, value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size
+    block, first, last, value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size
 ):
-    """Pixels ``first`` to ``last`` - 1 of ``_residuals``."""
-    for p in range(first, last):
-        d = np.exp(log_depth[p])
-        hdd, b, c = 0.0, 0.0, 0.0
+    """Pixels ``first`` to ``last`` - 1 of ``_residuals``, some at a time so that all but the sampling is vectors."""
+    unseen = huber * (cut - np.float32(0.5) * huber)
+    u, v = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
+    r, w = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
+    gx, gy = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
+    J, jd = np.empty((6, _TOGETHER), np.float32), np.empty(_TOGETHER, np.float32)
+    for lo in range(first, last, _TOGETHER):
+        m = min(lo + _TOGETHER, last) - lo
+        X = points[:, lo : lo + m]
         for f in range(frames.shape[0]):
-            image = frames[f]
-            for i in range(6):
-                Hpd[p, f, i] = 0.0
-            size[p, f] = np.nan
-            qx = d * (R[f, 0, 0] * rays[p, 0] + R[f, 0, 1] * rays[p, 1] + R[f, 0, 2] * rays[p, 2])
-            qy = d * (R[f, 1, 0] * rays[p, 0] + R[f, 1, 1] * rays[p, 1] + R[f, 1, 2] * rays[p, 2])
-            qz = d * (R[f, 2, 0] * rays[p, 0] + R[f, 2, 1] * rays[p, 1] + R[f, 2, 2] * rays[p, 2])
-            x, y, z = qx + t[f, 0], qy + t[f, 1], qz + t[f, 2]
-            u, v, ok = to_pixel(np.float32(x), np.float32(y), np.float32(z), code, cam)
-            if not ok:
-                c += huber * (cut - 0.5 * huber)
-                continue
-            r = sample(image, u, v, code) - value[p]
-            h = np.float32(0.5)
-            gx = sample(image, u + h, v, code) - sample(image, u - h, v, code)
-            gy = sample(image, u, v + h, code) - sample(image, u, v - h, code)
-            if not (abs(r) + abs(gx) + abs(gy) < 10):
-                c += huber * (cut - 0.5 * huber)
-                continue
-            size[p, f] = abs(r)
-            if abs(r) > cut:
-                c += huber * (cut - 0.5 * huber)
-                continue
             if code == 0:
-                a, e = cam[0] / (2 * np.pi), cam[1] / np.pi
-                rho2 = x * x + z * z
-                rho, r2 = np.sqrt(rho2), rho2 + y * y
-                jx = gx * a * z / rho2 - gy * e * x * y / (r2 * rho)
-                jy = gy * e * rho / r2
-                jz = -gx * a * x / rho2 - gy * e * z * y / (r2 * rho)
+                project_panorama(X[0], X[1], X[2], R[f], t[f], cam[0], cam[1], u, v)
             else:
-                jx, jy = gx * cam[2] / z, gy * cam[3] / z
-                jz = -(jx * x + jy * y) / z
-            J = (jx, jy, jz, y * jz - z * jy, z * jx - x * jz, x * jy - y * jx)
-            jd = jx * qx + jy * qy + jz * qz
-            m = abs(r)
-            w = 1.0 if m <= huber else huber / m
-            c += 0.5 * r * r if m <= huber else huber * (m - 0.5 * huber)
-            hdd += w * jd * jd
-            b += w * jd * r
-            k = 0
+                project_pinhole(X[0], X[1], X[2], R[f], t[f], cam, u, v)
+            for k in range(m):
+                seen, sx, sy = sample_slope(frames[f], u[k], v[k], code)
+                e = seen - value[lo + k]
+                a = abs(e)
+                known = a + abs(sx) + abs(sy) < 10  # not NaN: masked or outside
+                size[f, lo + k] = a if known else np.float32(np.nan)
+                if not known or a > cut:
+                    cost[lo + k] += unseen
+                    r[k], w[k], gx[k], gy[k] = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
+                    continue
+                r[k], gx[k], gy[k] = e, sx, sy
+                if a <= huber:
+                    w[k] = np.float32(1)
+                    cost[lo + k] += np.float32(0.5) * e * e
+                else:
+                    w[k] = huber / a
+                    cost[lo + k] += huber * (a - np.float32(0.5) * huber)
+            _jacobians(X, R[f], t[f], code, cam, gx[:m], gy[:m], J, jd)
+            for k in range(m):
+                Hdd[lo + k] += w[k] * jd[k] * jd[k]
+                bd[lo + k] += w[k] * jd[k] * r[k]
+            q = 0
             for i in range(6):
-                Hpd[p, f, i] = w * J[i] * jd
-                bp[block, f, i] += w * J[i] * r
+                for k in range(m):
+                    Hpd[f, i, lo + k] = w[k] * J[i, k] * jd[k]
+                bp[block, f, i] += dot3(w[:m], J[i, :m], r[:m])
                 for j in range(i, 6):
-                    Hpp[block, f, k] += w * J[i] * J[j]
-                    k += 1
-        Hdd[p], bd[p], cost[p] = hdd, b, c
+                    Hpp[block, f, q] += dot3(w[:m], J[i, :m], J[j, :m])
+                    q += 1
 
 
 @njit(**PARALLEL)
-def _residuals(value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size):  # type: ignore[no-untyped-def]
-    """Normal equations. Of every pixel: Hpd (P, F, 6), Hdd, bd (P,), cost (P,), size (P, F): |residual|, NaN where
-    unseen; summed over runs of pixels: Hpp (B, F, 21), bp (B, F, 6).
+def _residuals(value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size):  # type: ignore[no-untyped-def]
+    """Normal equations, added to zeros. points (3, P): of the reference. Of every pixel: Hpd (F, 6, P), Hdd, bd (P,),
+    cost (P,), size (F, P): |residual|, NaN where unseen; summed over runs of pixels: Hpp (B, F, 21), bp (B, F, 6).
     """
     blocks = Hpp.shape[0]
     share = (len(value) + blocks - 1) // blocks
     for block in prange(blocks):
         _residuals_of(
             block, block * share, min((block + 1) * share, len(value)),
-            value, rays, log_depth, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size,
+            value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size,
         )  # fmt: skip
 
 
@@ -143,54 +183,43 @@ def refine(
     code: int,
     cam: F32,
     options: BundleOptions = BundleOptions(),
-) -> tuple[NDArray[np.float64], float]:
+) -> Bundle:
     """Poses (F, 4, 4) of ``frames`` (F, H, W) from the reference, refined together with the depth of its pixels.
 
-    luma, depth (H, W), rays (H, W, 3) of the reference. Returns the poses, at the scale of the depth given, and the
-    mean robust cost. Too few usable pixels: the poses as they came.
+    luma, depth (H, W), rays (H, W, 3) of the reference. Too few usable pixels: the poses as they came, not ``ok``.
     """
     ys, xs = select_pixels(luma, rays, depth, options)
     n, F = len(ys), len(frames)
+    nothing = Bundle(T_fr, np.inf, np.zeros((6 * F, 6 * F)), np.zeros(6 * F))
     if n < 100:
-        return T_fr, np.inf
+        return nothing
     value, r = luma[ys, xs], np.ascontiguousarray(rays[ys, xs])
-    s, T = np.log(depth[ys, xs].astype(np.float64)), T_fr.copy()
-    upper = np.triu_indices(6)
+    start = np.log(depth[ys, xs].astype(np.float64))
+    s, T = start, T_fr.copy()
 
-    def linearise(T: NDArray[np.float64], s: NDArray[np.float64]) -> tuple[NDArray, ...]:
-        Hpd, bp, Hpp = np.empty((n, F, 6)), np.zeros((_BLOCKS, F, 6)), np.zeros((_BLOCKS, F, 21))
-        Hdd, bd, cost, size = np.empty(n), np.empty(n), np.empty(n), np.empty((n, F), np.float32)
-        R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
-        _residuals(value, r, s, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size)
-        return Hpd.reshape(n, 6 * F), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), cost, size
+    def linearise(T: NDArray[np.float64], s: NDArray[np.float64]) -> _System:
+        Hpd, bp, Hpp = np.empty((F, 6, n)), np.zeros((_BLOCKS, F, 6)), np.zeros((_BLOCKS, F, 21))
+        Hdd, bd, cost, size = np.zeros(n), np.zeros(n), np.zeros(n), np.empty((F, n), np.float32)
+        R, t = T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32)
+        points = (r.T * np.exp(s)).astype(np.float32)
+        limits = np.float32(huber), np.float32(cut)
+        _residuals(value, points, frames, R, t, code, cam, *limits, Hpd, Hdd, bd, Hpp, bp, cost, size)
+        return _System(Hpd.reshape(6 * F, n), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), float(cost.sum()), size)
 
     huber = cut = 10.0
-    size = linearise(T, s)[6]
+    size = linearise(T, s).size
     if not np.isfinite(size).any():
-        return T_fr, np.inf
+        return nothing
     sigma = max(1.4826 * float(np.nanmedian(size)), options.sigma_min)
     huber, cut = options.huber * sigma, options.cut * sigma
-    state = linearise(T, s)
-    cost, damping = float(state[5].sum()), 1e-3
+    now, damping = linearise(T, s), 1e-3
     for _ in range(options.iterations):
-        Hpd, Hdd, bd, Hpp, bp = state[:5]
-        H = np.zeros((6 * F, 6 * F))
-        for f in range(F):
-            block = np.zeros((6, 6))
-            block[upper] = Hpp[f]
-            H[6 * f : 6 * f + 6, 6 * f : 6 * f + 6] = block + np.triu(block, 1).T
-        H[np.diag_indices(6 * F)] *= 1 + damping
-        inverse = 1.0 / (Hdd * (1 + damping) + 1e-6)
-        whitened = Hpd * np.sqrt(inverse)[:, None]
-        A = H - whitened.T @ whitened + 1e-9 * np.trace(H) / len(H) * np.eye(len(H))
-        x = np.linalg.solve(A, -(bp - Hpd.T @ (inverse * bd)))
-        ds = np.clip(-inverse * (bd + Hpd @ x), -0.3, 0.3)
-        T_new, s_new = renormalise(se3_exp(x.reshape(F, 6)) @ T), s + ds
+        x, ds = now.step(damping)
+        T_new, s_new = renormalise(se3_exp(x.reshape(F, 6)) @ T), s + np.clip(ds, -0.3, 0.3)
         trial = linearise(T_new, s_new)
-        new_cost = float(trial[5].sum())
-        if new_cost < cost:
-            small = cost - new_cost < 1e-4 * cost
-            T, s, state, cost = T_new, s_new, trial, new_cost
+        if trial.cost < now.cost:
+            small = now.cost - trial.cost < options.small * now.cost
+            T, s, now = T_new, s_new, trial
             damping = max(damping * 0.3, 1e-6)
             if small:
                 break
@@ -199,8 +228,45 @@ def refine(
             if damping > 1e2:
                 break
     # The scale is free: what the pixels changed by together, the best determined counting most, is taken back.
-    change = s - np.log(depth[ys, xs].astype(np.float64))
-    by_size, weights = np.argsort(change), np.maximum(state[1], 0)
+    change = s - start
+    by_size, weights = np.argsort(change), np.maximum(now.Hdd, 0)
     half = np.searchsorted(np.cumsum(weights[by_size]), 0.5 * weights.sum())
-    T[:, :3, 3] *= np.exp(-change[by_size[min(half, n - 1)]])
-    return T, cost / (n * F)
+    scale = float(np.exp(-change[by_size[min(half, n - 1)]]))
+    T[:, :3, 3] *= scale
+    A, b, _ = now.reduced(0.0)
+    unit = np.tile(np.repeat([1.0 / scale, 1.0], 3), F)
+    return Bundle(T, now.cost / (n * F), A * unit[:, None] * unit / sigma**2, b * unit / sigma**2)
+
+
+@dataclass(frozen=True)
+class _System:
+    """Normal equations as ``_residuals`` writes them, its runs of pixels summed; cost: of all pixels."""
+
+    Hpd: NDArray[np.float64]
+    Hdd: NDArray[np.float64]
+    bd: NDArray[np.float64]
+    Hpp: NDArray[np.float64]
+    bp: NDArray[np.float64]
+    cost: float
+    size: F32
+
+    def reduced(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """H (6F, 6F) and b (6F,) over the poses with the depths eliminated, and the inverse of Hdd (n,)."""
+        F, upper = len(self.Hpp), np.triu_indices(6)
+        blocks = np.zeros((F, 6, 6))
+        blocks[:, upper[0], upper[1]] = self.Hpp
+        blocks[:, upper[1], upper[0]] = self.Hpp
+        H = np.zeros((F, 6, F, 6))
+        H[np.arange(F), :, np.arange(F), :] = blocks
+        A = H.reshape(6 * F, 6 * F)
+        A[np.diag_indices(6 * F)] *= 1 + damping
+        inverse = 1.0 / (self.Hdd * (1 + damping) + 1e-6)
+        whitened = self.Hpd * np.sqrt(inverse)
+        return A - whitened @ whitened.T, self.bp - self.Hpd @ (inverse * self.bd), inverse
+
+    def step(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Left twists (6F,) of the poses and changes (n,) of the log depths."""
+        A, b, inverse = self.reduced(damping)
+        A[np.diag_indices(len(A))] += 1e-9 * np.trace(A) / len(A)
+        x = np.asarray(np.linalg.solve(A, -b), np.float64)
+        return x, -inverse * (self.bd + self.Hpd.T @ x)

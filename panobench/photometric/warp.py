@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.errors import UnsupportedError
-from panobench.splat.kernel_options import JIT
+from panobench.splat.kernel_options import JIT, JIT_FINITE
 
 ERP, PINHOLE = 0, 1
 _PI = np.float32(np.pi)
 _HALF_PI = np.float32(np.pi / 2)
+_HALF, _PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 
 
 def camera_code(camera: Camera) -> tuple[int, NDArray[np.float32]]:
@@ -69,6 +70,42 @@ def to_pixel(x, y, z, code, cam):  # type: ignore[no-untyped-def]
     return cam[2] * x / z + cam[4], cam[3] * y / z + cam[5], True
 
 
+@njit(**JIT_FINITE)
+def project_panorama(X, Y, Z, R, t, w, h, u, v):  # type: ignore[no-untyped-def]
+    """Points moved by R, t -> pixels u, v."""
+    for k in range(len(X)):
+        x, y, z = X[k], Y[k], Z[k]
+        px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+        py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+        pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        rho = np.sqrt(px * px + pz * pz)
+        u[k] = w * (_HALF + atan2_fast(px, pz) * _PER_TURN)
+        v[k] = h * (_HALF + np.float32(2) * atan2_fast(py, rho) * _PER_TURN)
+
+
+@njit(**JIT)
+def project_pinhole(X, Y, Z, R, t, cam, u, v):  # type: ignore[no-untyped-def]
+    """Points moved by R, t -> pixels u, v."""
+    for k in range(len(X)):
+        x, y, z = X[k], Y[k], Z[k]
+        px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
+        py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
+        pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
+        front = pz >= np.float32(1e-3)
+        inv = np.float32(1) / (pz if front else np.float32(1))
+        u[k] = cam[2] * px * inv + cam[4] if front else np.float32(-1e6)
+        v[k] = cam[3] * py * inv + cam[5] if front else np.float32(-1e6)
+
+
+@njit(**JIT_FINITE)
+def dot3(a, b, c):  # type: ignore[no-untyped-def]
+    """Sum of the products of three vectors."""
+    s = np.float32(0)
+    for k in range(len(a)):
+        s += a[k] * b[k] * c[k]
+    return s
+
+
 @njit(**JIT)
 def sample(image, u, v, code):  # type: ignore[no-untyped-def]
     """Bilinear value at (u, v); columns wrap on a panorama, rows are clamped there; NaN outside a pinhole."""
@@ -93,3 +130,30 @@ def sample(image, u, v, code):  # type: ignore[no-untyped-def]
     top = image[y0, x0] + a * (image[y0, x1] - image[y0, x0])
     bottom = image[y1, x0] + a * (image[y1, x1] - image[y1, x0])
     return top + b * (bottom - top)
+
+
+@njit(**JIT)
+def sample_slope(image, u, v, code):  # type: ignore[no-untyped-def]
+    """``sample`` and the derivatives of what it interpolates by u and v, from the same four pixels."""
+    h, w = image.shape
+    fu, fv = u - np.float32(0.5), v - np.float32(0.5)
+    x0, y0 = int(np.floor(fu)), int(np.floor(fv))
+    a, b = fu - np.float32(x0), fv - np.float32(y0)
+    x1, y1 = x0 + 1, y0 + 1
+    if code == 0:
+        if x0 < 0:
+            x0 += w
+        elif x0 >= w:
+            x0 -= w
+        if x1 < 0:
+            x1 += w
+        elif x1 >= w:
+            x1 -= w
+        y0, y1 = min(max(y0, 0), h - 1), min(max(y1, 0), h - 1)
+        x0, x1 = min(max(x0, 0), w - 1), min(max(x1, 0), w - 1)
+    elif x0 < 0 or y0 < 0 or x1 >= w or y1 >= h:
+        nothing = np.float32(np.nan)
+        return nothing, nothing, nothing
+    left, right = image[y0, x1] - image[y0, x0], image[y1, x1] - image[y1, x0]
+    top, bottom = image[y0, x0] + a * left, image[y1, x0] + a * right
+    return top + b * (bottom - top), left + b * (right - left), bottom - top

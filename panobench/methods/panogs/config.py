@@ -40,6 +40,7 @@ class PanogsConfig:
     delay_share: float = 0.6  # of the view of a frame looked back to that the newest must still see
     guess_share: float = 0.2  # unknown share of a narrow view above which the nearest depth is taken at once
     smooth: bool = True  # refine the poses of the last frames jointly with depth, behind the tracker
+    adjust: bool = True  # fit the trajectory to windows of bundle adjustment over all frames
     sweep_confidence: float = 0.4
     carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong
     depth_guided: bool = True  # False: the "w/o DGIS" ablation
@@ -90,6 +91,7 @@ PAPER: dict[str, Any] = {
     "carve": False,
     "sweep": False,
     "smooth": False,
+    "adjust": False,
     "solver": "adam",
     "tracking_iterations": 15,
     "mapping_iterations": 30,

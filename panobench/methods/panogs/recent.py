@@ -43,15 +43,16 @@ class RecentFrames:
 
     def add(
         self, index: int, image: NDArray[np.uint8], pyramid: list[F32], position: NDArray[np.float64], depth: float
-    ) -> None:
+    ) -> RecentFrame | None:
         """Remember a tracked frame unless it hardly moved; ``depth``: the scene's, in the unit of ``position``."""
         if np.linalg.norm(position - self._last) < STEP_MIN * depth:
-            return
+            return None
         luma, fine = (pyramid[min(scale.level, len(pyramid) - 1)] for scale in (self.scale, self.fine))
         if luma.shape != self.scale.valid.shape:
-            return
+            return None
         self._last = position
         self._frames.append(RecentFrame(index, image, luma, fine))
+        return self._frames[-1]
 
     def before(self, delay: int) -> RecentFrame:
         """The frame ``delay`` before the newest."""

@@ -21,7 +21,7 @@ from panobench.photometric.stereo import WorkingScale, resize_panorama
 
 Pose = NDArray[np.float64]
 #: More iterations change little (docs/panogs-lab.md).
-OPTIONS = BundleOptions(iterations=10)
+OPTIONS = BundleOptions(cell_px=5, iterations=6)
 #: Frames two windows must share for the scale to pass from one to the other.
 SHARED_MIN = 4
 #: A frame counts for the scale if it is at least this share of the window's length away.
@@ -57,9 +57,10 @@ class Smoother:
         s = self.scale
         known = resize_panorama(depth, s.valid.shape, s.camera.kind == "erp")
         known = np.where(s.valid & np.isfinite(known), known, 0).astype(np.float32)
-        after, cost = refine(target.fine, s.rays, known, images, before, s.code, s.cam, OPTIONS)
-        if not np.isfinite(cost):
+        bundle = refine(target.fine, s.rays, known, images, before, s.code, s.cam, OPTIONS)
+        if not bundle.ok:
             return {}
+        after = bundle.T_fr.copy()
         lengths = np.linalg.norm(before[:, :3, 3], axis=1), np.linalg.norm(after[:, :3, 3], axis=1)
         after[:, :3, 3] *= self._stretch(others, *lengths) if self.settled else first_stretch
         self.keep(others)

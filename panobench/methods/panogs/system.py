@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.geometry import invert_pose, renormalise
+from panobench.geometry import Sim3, invert_pose, renormalise
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
+from panobench.methods.panogs.backend import Backend, Fit, followed, moved_by
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.dormant import Dormant, anchors_of
 from panobench.methods.panogs.exposure import ExposureGuard
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
-from panobench.methods.panogs.loops import DRIFT_MIN, LoopCloser, carry_out
+from panobench.methods.panogs.loops import DRIFT_MIN, LoopCloser, carry_out, move_gaussians
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
 from panobench.methods.panogs.places import Places, Thumbnail
@@ -70,6 +71,7 @@ class PanogsMethod(OnlineMethod):
             self.estimator.start(camera, context.seed)
         self.recent = RecentFrames(camera, self.config.delay + 1)
         self.smoother = Smoother(self.recent.fine)
+        self.backend = Backend(self.recent.fine)
         self.new_depth = NewDepth(camera, self.recent.scale)
         self.view_share = ViewShare(camera)
         self.narrow = self.view_share.steradians < NARROW
@@ -137,6 +139,8 @@ class PanogsMethod(OnlineMethod):
         out = self.renderer.forward(self.mapper.map, view.T_wc, count_touched=True)
         view.touched = out.touched
         self.mapper.add_keyframe(view, [view])
+        if self.config.adjust:
+            self.backend.add(first.index, self.tracker.frame_pyramid(view.image)[self.recent.fine.level])
         self.places.add(self.places.thumbnail(self.tracker.frame_pyramid(view.image)[-1]))
         self.mapper.optimise(self.config.initial_iterations, poses=False)
         self.tracker.reset(view.T_wc)
@@ -165,7 +169,9 @@ class PanogsMethod(OnlineMethod):
         given, frame = frame, self._exposed(frame, tracked.render)
         if frame is not given:
             self.tracker.pyramid = self.tracker.frame_pyramid(frame.image)
-        self.recent.add(frame.index, frame.image, self.tracker.pyramid, tracked.T_wc[:3, 3], depth)
+        moved = self.recent.add(frame.index, frame.image, self.tracker.pyramid, tracked.T_wc[:3, 3], depth)
+        if moved and self.config.adjust:
+            self.backend.add(frame.index, moved.fine)
         anchor = self.mapper.window[0]
         self.records[frame.index] = _Record(frame.time, anchor, invert_pose(anchor.T_wc) @ tracked.T_wc)
         numbers = self.numbers.setdefault(frame.index, {})
@@ -178,6 +184,7 @@ class PanogsMethod(OnlineMethod):
         if frame.mappable:
             keyframe = self._map(frame, tracked)
             numbers["keyframe"] = float(keyframe)
+        self._adjust()
         self.mapper.work(self.config.steps_per_frame or len(self.mapper.todo))
         self.tracker.reset(self._pose(frame.index), self.tracker.velocity)
         numbers["mapping_s"] = time.perf_counter() - began - numbers["tracking_s"]
@@ -287,6 +294,32 @@ class PanogsMethod(OnlineMethod):
         T_fr = np.stack([invert_pose(self._pose(f.index)) @ view.T_wc for f in back[1]])
         return self.new_depth.sweep(*back, T_fr, depth)
 
+    def _adjust(self, *, at_the_end: bool = False) -> None:
+        """The windows of bundle adjustment that are due, and the poses that suit all windows."""
+        due = False
+        while (index := self.backend.due(at_the_end=at_the_end)) is not None:
+            render = self.renderer.forward(self.mapper.map, self._pose(index), sloped=True)
+            self.backend.adjust(self._pose, render.expected_depth(0.5))
+            due = True
+        if due:
+            self._settle(self.backend.fit(self._pose, self.mapper.median_depth))
+
+    def _settle(self, fit: Fit) -> None:
+        """Give frames their fitted poses; the map and its keyframes go along."""
+        if not fit.poses:
+            return
+        first = min(fit.poses)
+        before = {i: record.T_wc for i, record in self.records.items() if i >= first}
+        after, newest = followed(before, fit.poses)
+        still = Sim3(1.0, np.eye(3), np.zeros(3))
+        moves = [
+            moved_by(before[k.index], after[k.index], fit.stretch) if k.index in after else still
+            for k in self.mapper.keyframes
+        ]
+        move_gaussians(self.mapper.map, anchors_of(self.mapper.born), moves)
+        self._move(after)
+        self.tracker.carried(newest)
+
     def _pose(self, index: int) -> NDArray[np.float64]:
         return self.records[index].T_wc
 
@@ -306,6 +339,7 @@ class PanogsMethod(OnlineMethod):
                 self._initialise(estimate)
         self.dormant.wake(self.mapper)
         self.mapper.work(len(self.mapper.todo))
+        self._adjust(at_the_end=True)
         if self.config.final_iterations and self.mapper.keyframes:
             self.mapper.window = [v for v in self.mapper.keyframes if v.image.size]
             self.mapper.optimise(self.config.final_iterations, poses=False)

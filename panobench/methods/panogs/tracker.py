@@ -59,6 +59,12 @@ class Tracker:
         self.T_last = T_wc
         self.velocity = np.eye(4) if velocity is None else velocity
 
+    def carried(self, move: NDArray[np.float64]) -> None:
+        """The world around the last frame has moved: x -> ``move`` x."""
+        self.T_reference = renormalise(move @ self.T_reference)
+        if self.T_last is not None:
+            self.T_last = renormalise(move @ self.T_last)
+
     def predict(self) -> NDArray[np.float64]:
         """Constant velocity. Composed poses drift off SO(3), hence the renormalisation."""
         assert self.T_last is not None

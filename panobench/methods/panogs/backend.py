@@ -1,0 +1,122 @@
+"""The trajectory behind the tracker: windows of bundle adjustment around every few frames, and what suits them all.
+
+A pose found by aligning a frame to a rendered map is off by what the map is off by, and so are its neighbours'.
+Frames compared with one another, each reference with those up to a second before and after it, do not know the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.geometry import Sim3, invert_pose, renormalise
+from panobench.photometric.bundle import BundleOptions, refine
+from panobench.photometric.pyramid import F32
+from panobench.photometric.stereo import WorkingScale
+from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log_scale
+
+Pose = NDArray[np.float64]
+#: One pixel in 8 x 8, and five iterations: the poses are good when they come.
+OPTIONS = BundleOptions(cell_px=8, iterations=5, cut=5.0)
+#: A reference every so many frames that moved, and how many frames on either side it is compared with.
+EVERY, REACH = 8, 24
+#: Frames whose poses a fit may change; windows before them are forgotten.
+FREE = 96
+#: What a pose from the map is trusted by: translation over the scene's depth, and radians.
+PRIOR_TRANSLATION, PRIOR_ROTATION = 0.006, 0.005
+
+
+@dataclass(frozen=True)
+class Fit:
+    """poses: T_wc by frame index; stretch: the factor distances between frames have grown by, on average."""
+
+    poses: dict[int, Pose]
+    stretch: float = 1.0
+
+
+@dataclass
+class _Frame:
+    index: int
+    luma: F32 | None  # None once no window needs it
+
+
+class Backend:
+    """Frames that moved are numbered in order; the images of the last ``2 REACH + 1`` are kept."""
+
+    def __init__(self, scale: WorkingScale) -> None:
+        self.scale = scale
+        self.frames: list[_Frame] = []
+        self.windows: list[Window] = []
+        self._next = 0
+
+    def add(self, index: int, luma: F32) -> None:
+        """A frame by its index in the sequence, luma (h, w) at the working size."""
+        self.frames.append(_Frame(index, luma))
+        old = min(self._next - REACH, len(self.frames) - 1 - 2 * REACH - EVERY)
+        if old > 0:
+            self.frames[old - 1].luma = None
+
+    def due(self, *, at_the_end: bool = False) -> int | None:
+        """Index of the frame that should get its window now: ``REACH`` frames have followed it, or none will."""
+        if self._next < len(self.frames) - (1 if at_the_end else REACH):
+            return self.frames[self._next].index
+        return None
+
+    def adjust(self, pose: Callable[[int], Pose], depth: F32) -> None:
+        """The window of the frame that is due; ``depth`` (H, W), radial, NaN where unknown; pose: index -> T_wc."""
+        k, s = self._next, self.scale
+        self._next += EVERY
+        target = self.frames[k]
+        near = [(n, self.frames[n].luma) for n in range(max(k - REACH, 0), min(k + REACH + 1, len(self.frames)))]
+        others = [(n, luma) for n, luma in near if n != k and luma is not None]
+        if target.luma is None or not others:
+            return
+        numbers = np.array([n for n, _ in others])
+        known = cv2.resize(depth, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.float32)
+        known = np.where(s.valid & np.isfinite(known), known, 0).astype(np.float32)
+        T_wr = pose(target.index)
+        T_fr = np.stack([invert_pose(pose(self.frames[n].index)) @ T_wr for n in numbers])
+        images = np.stack([luma for _, luma in others])
+        bundle = refine(target.luma, s.rays, known, images, T_fr, s.code, s.cam, OPTIONS)
+        if bundle.ok:
+            self.windows.append(Window(k, numbers, bundle))
+
+    def fit(self, pose: Callable[[int], Pose], depth: float) -> Fit:
+        """What suits all windows, for the last ``FREE`` frames; those before stay. depth: the scene's."""
+        count = len(self.frames)
+        free = max(count - FREE, 1)
+        self.windows = [w for w in self.windows if max(w.reference, w.frames.max()) >= free]
+        if not self.windows:
+            return Fit({})
+        lo = min(min(w.reference, int(w.frames.min())) for w in self.windows)
+        indices = [f.index for f in self.frames[lo:]]
+        before = np.stack([pose(i) for i in indices])
+        windows = [Window(w.reference - lo, w.frames - lo, w.bundle) for w in self.windows]
+        prior = PosePrior(PRIOR_TRANSLATION * depth, PRIOR_ROTATION)
+        after = fit_trajectory(before, windows, prior, np.arange(lo, count) < free)
+        # Noise in the poses before would pass for length; those after have little.
+        shrunk = [log_scale(*(invert_pose(T[w.frames]) @ T[w.reference] for T in (after, before))) for w in windows]
+        return Fit(dict(zip(indices, after)), float(np.exp(-np.mean(shrunk))))
+
+
+def followed(before: dict[int, Pose], fitted: dict[int, Pose]) -> tuple[dict[int, Pose], Pose]:
+    """Poses T_wc of all frames ``before`` by index, once some are ``fitted``, and what the newest was moved by.
+
+    The others, which hardly moved or are younger, stay where they were to the last fitted one before them.
+    """
+    move, after = np.eye(4), {}
+    for index in sorted(before):
+        if index in fitted:
+            move = fitted[index] @ invert_pose(before[index])
+        after[index] = renormalise(move @ before[index])
+    return after, move
+
+
+def moved_by(before: Pose, after: Pose, stretch: float) -> Sim3:
+    """What a keyframe's Gaussians move by: along with it, and their distances from it grow by ``stretch``."""
+    T = after @ invert_pose(before)
+    return Sim3(stretch, T[:3, :3], T[:3, 3] + (1 - stretch) * T[:3, :3] @ before[:3, 3])

@@ -1,0 +1,138 @@
+"""Trajectories from overlapping windows: exact ones are kept, disturbed ones mended, scales do not matter."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.geometry import invert_pose, se3_exp, se3_log, umeyama
+from panobench.photometric.bundle import Bundle, BundleOptions, refine
+from panobench.photometric.pyramid import luma_of_frame
+from panobench.photometric.stereo import WorkingScale
+from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log_scale
+
+Array = NDArray[np.float64]
+LOOSE = PosePrior(1.0, 1.0)
+
+
+def path(count: int, seed: int = 0) -> Array:
+    rng = np.random.default_rng(seed)
+    T = np.stack([np.eye(4)] * count)
+    for i in range(1, count):
+        T[i] = T[i - 1] @ se3_exp(np.concatenate([[0.1, 0.0, 0.02], [0.0, 0.05, 0.0]]) + rng.normal(0, 0.02, 6))
+    return T
+
+
+def window(T_wc: Array, reference: int, reach: int, scale: float = 1.0, seed: int = 0) -> Window:
+    """What bundle adjustment of exact images would leave, at a scale of its own."""
+    frames = np.array(
+        [i for i in range(max(reference - reach, 0), min(reference + reach + 1, len(T_wc))) if i != reference]
+    )
+    T_fr = invert_pose(T_wc[frames]) @ T_wc[reference]
+    T_fr[:, :3, 3] *= scale
+    rng = np.random.default_rng(seed + reference)
+    root = rng.normal(size=(6 * len(frames), 6 * len(frames)))
+    A = 1e4 * (root @ root.T / len(root) + np.eye(len(root)))
+    # Depths have been eliminated: a common scale of the translations costs nothing.
+    free = np.concatenate([T_fr[:, :3, 3], np.zeros((len(frames), 3))], axis=1).ravel()
+    P = np.eye(len(free)) - np.outer(free, free) / (free @ free)
+    return Window(reference, frames, Bundle(T_fr, 0.0, P @ A @ P, np.zeros(len(free))))
+
+
+def misfit(T: Array, truth: Array) -> float:
+    s = umeyama(T[:, :3, 3], truth[:, :3, 3])
+    return float(np.sqrt(((s.apply_points(T[:, :3, 3]) - truth[:, :3, 3]) ** 2).sum(axis=1).mean()))
+
+
+def disturbed(truth: Array, size: float, seed: int = 1) -> Array:
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(0, size, (len(truth), 6))
+    noise[0] = 0.0
+    return truth @ se3_exp(noise)
+
+
+def test_exact_poses_stay() -> None:
+    truth = path(20)
+    held = np.arange(20) == 0
+    fitted = fit_trajectory(truth, [window(truth, k, 6) for k in range(0, 20, 3)], LOOSE, held)
+    assert np.abs(se3_log(invert_pose(truth) @ fitted)).max() < 1e-7
+
+
+@pytest.mark.parametrize("scales", [(1.0, 1.0), (0.98, 1.03)], ids=["one scale", "a scale for each window"])
+def test_disturbed_poses_are_mended(scales: tuple[float, float]) -> None:
+    truth = path(24)
+    start = disturbed(truth, 0.01)
+    windows = [window(truth, k, 8, scales[i % 2]) for i, k in enumerate(range(0, 24, 4))]
+    fitted = fit_trajectory(start, windows, LOOSE, np.arange(24) == 0)
+    assert misfit(start, truth) > 5e-3
+    assert misfit(fitted, truth) < 2e-4
+    np.testing.assert_allclose(fitted[0], start[0])
+
+
+def test_held_frames_do_not_move() -> None:
+    truth = path(24)
+    start = disturbed(truth, 0.01)
+    held = np.arange(24) < 10
+    fitted = fit_trajectory(start, [window(truth, k, 8) for k in range(0, 24, 4)], LOOSE, held)
+    np.testing.assert_allclose(fitted[held], start[held], atol=1e-12)
+    assert np.abs(fitted[~held] - start[~held]).max() > 1e-3
+
+
+def test_parts_that_no_window_joins_stay_where_they_were() -> None:
+    truth = path(30)
+    start = disturbed(truth, 0.005)
+    windows = [window(truth[:15], k, 6) for k in (0, 5, 10)]
+    late = [Window(w.reference + 15, w.frames + 15, w.bundle) for w in (window(truth[15:], k, 6) for k in (0, 5, 10))]
+    fitted = fit_trajectory(start, [*windows, *late], PosePrior(0.01, 0.01), np.arange(30) == 0)
+    assert misfit(fitted[15:], truth[15:]) < 0.3 * misfit(start[15:], truth[15:])
+    assert np.linalg.norm((fitted[15:, :3, 3] - start[15:, :3, 3]).mean(axis=0)) < 5e-3
+
+
+def test_growth_of_distances() -> None:
+    T = path(5)
+    grown = T.copy()
+    grown[:, :3, 3] *= 1.07
+    assert np.exp(log_scale(T, grown)) == pytest.approx(1.07)
+
+
+@lru_cache(maxsize=1)
+def real_windows() -> tuple[Array, Array, list[Window]]:
+    """Truth, a start that is off, and windows of real images from the start and depth that is off, too."""
+    sequence = RoomsDataset().open("tiny", width=256)
+    assert sequence.groundtruth is not None
+    count = 16
+    truth = invert_pose(sequence.groundtruth.T_wc[0]) @ sequence.groundtruth.T_wc[:count]
+    scale = WorkingScale.of(sequence.camera, 256)
+    luma = np.stack([luma_of_frame(sequence.image(i), scale.valid) for i in range(count)])
+    start = disturbed(truth, 0.003)
+    windows = []
+    for k in (0, 5, 10, 15):
+        depth = sequence.depth(k)
+        assert depth is not None
+        depth = np.nan_to_num(depth * np.random.default_rng(k).normal(1.0, 0.02, depth.shape)).astype(np.float32)
+        frames = np.array([i for i in range(count) if i != k])
+        T_fr = invert_pose(start[frames]) @ start[k]
+        options = BundleOptions(cell_px=4)
+        bundle = refine(luma[k], scale.rays, depth, luma[frames], T_fr, scale.code, scale.cam, options)
+        assert bundle.ok
+        windows.append(Window(k, frames, bundle))
+    return truth, start, windows
+
+
+def test_windows_of_images_mend_a_trajectory() -> None:
+    truth, start, windows = real_windows()
+    fitted = fit_trajectory(start, windows, PosePrior(0.02, 0.01), np.arange(len(truth)) == 0)
+    assert misfit(fitted, truth) < 0.4 * misfit(start, truth)
+
+
+def test_what_is_left_of_a_window_does_not_mind_its_scale() -> None:
+    for w in real_windows()[2]:
+        A, T = w.bundle.information, w.bundle.T_fr
+        free = np.concatenate([T[:, :3, 3], np.zeros((len(T), 3))], axis=1).ravel()
+        free /= np.linalg.norm(free)
+        assert np.all(np.linalg.eigvalsh(A) > -1e-6 * np.trace(A) / len(A))
+        assert free @ A @ free < 0.02 * np.trace(A) / len(A)
