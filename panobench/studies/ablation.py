@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from panobench.studies.base import StudyRequest, StudyResult
-from panobench.studies.cells import QUICK, RunOptions, mean, median, reasons, run_cells
+from panobench.studies.cells import FAILED, QUICK, RunOptions, mean, median, reasons, run_cells
 from panobench.studies.published import published_table, source_notes
 
 #: Row -> (what it changes in panogs's options, what it changes in the run).
@@ -37,7 +38,7 @@ class AblationOptions(RunOptions):
 
 def run(study: StudyRequest) -> StudyResult:
     """Averages over the sequences for every variant, and each sequence's ATE."""
-    options = study.choose(AblationOptions(), {**QUICK, "presets": ("default",)})
+    options = study.choose(AblationOptions(), {**QUICK, "presets": ("default",), "seeds": (0, 1, 2)})
     cells = {}
     for preset in options.presets:
         for variant, (settings, changes) in variants(preset).items():
@@ -70,14 +71,37 @@ def run(study: StudyRequest) -> StudyResult:
         "w/o L_pano: every pixel of the panorama weighs the same. w L_GS: weights fall off from the equator as a "
         "Gaussian of latitude. w/o DGIS: the map starts from a constant depth, and new Gaussians from the median "
         "depth. The weights count in tracking and in mapping.",
+        "Sphere and ERP projection: exact on the tangent plane, and the paper's first-order one.",
+        *order_notes(averages),
         *(source_notes(options.dataset) if paper else []),
         *reasons(results, flat),
     ]
+    repeats = f", each the median of {len(options.seeds)} repeats" if len(options.seeds) > 1 else ", one run each"
     captions = {
-        "ablation": f"Ablation. Mean over {', '.join(options.sequences)}, each the median of its repeats.",
+        "ablation": f"Ablation. Mean over {', '.join(options.sequences)}{repeats}; {options.width} pixels wide"
+        + (f", one frame in {options.every}." if options.every > 1 else "."),
         "ablation-sequences": "Ablation by sequence. ATE RMSE after alignment.",
+        "errors": "ATE of every variant. A marker per sequence, on a logarithmic axis; what is not there was lost.",
     }
-    return StudyResult("ablation", tables, {"ablation": _figure(details, options)}, notes, "Ablation", captions)
+    return StudyResult("ablation", tables, {"errors": _figure(details, options)}, notes, "Ablation", captions)
+
+
+def order_notes(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A line per preset: the variants that the paper has too, from the smallest ATE to the largest, and the paper's."""
+    published = [row for row in rows if row["source"] == "published"]
+    names = {row["Method"] for row in published}
+    notes = []
+    for preset in dict.fromkeys(row["Preset"] for row in rows):
+        mine = [row for row in rows if row["Preset"] == preset and row["Method"] in names]
+        known = [row for row in mine if isinstance(row["ATE [cm] ↓"], float)]
+        failed = [row["Method"] for row in mine if row["ATE [cm] ↓"] == FAILED]
+        if not published or len(known) < 2:
+            continue
+        ordered = sorted(known, key=lambda row: row["ATE [cm] ↓"])
+        words = [f"{row['Method']} {row['ATE [cm] ↓']:.3g}" for row in ordered] + [f"{name} lost" for name in failed]
+        whose = "in the paper" if mine[0]["source"] == "published" else f"preset {preset}"
+        notes.append(f"Order by mean ATE [cm], {whose}: {' < '.join(words)}.")
+    return notes
 
 
 def variants(preset: str) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
@@ -94,12 +118,11 @@ def variants(preset: str) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
 def _figure(details: list[dict[str, Any]], options: AblationOptions) -> dict[str, Any]:
     """A marker per variant and sequence on a logarithmic ATE axis."""
     several = len(options.presets) > 1
+    names = [f"{row['Method']} ({row['Preset']})" if several else row["Method"] for row in details]
     data = []
     for k, sequence in enumerate(options.sequences):
         known = [
-            (f"{row['Method']} ({row['Preset']})" if several else row["Method"], value)
-            for row in details
-            if isinstance(value := row[f"{sequence} [cm] ↓"], float)
+            (name, value) for name, row in zip(names, details) if isinstance(value := row[f"{sequence} [cm] ↓"], float)
         ]
         data.append(
             {
@@ -114,7 +137,7 @@ def _figure(details: list[dict[str, Any]], options: AblationOptions) -> dict[str
         )
     layout = {
         "xaxis": {"title": {"text": "ATE RMSE [cm]"}, "type": "log"},
-        "yaxis": {"autorange": "reversed"},
+        "yaxis": {"autorange": "reversed", "categoryorder": "array", "categoryarray": names, "automargin": True},
         "showlegend": len(options.sequences) > 1,
     }
     return {"data": data, "layout": layout}
