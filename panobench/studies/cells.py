@@ -21,7 +21,10 @@ FAILED = "/"
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of every study that runs a method: which, on what, how often, and for how long at most."""
+    """Options of every study that runs a method: which, on what, how often, and for how long at most.
+
+    width: what order the rows of a study come in shows at 256 pixels, at a fourth of the cost of 512.
+    """
 
     method: str = "panogs"
     preset: str | None = None
@@ -29,7 +32,7 @@ class RunOptions:
     root: str | None = None
     sequences: tuple[str, ...] = ("room1", "room2", "room3", "room4", "room5")
     seeds: tuple[int, ...] = (0,)
-    width: int = 512
+    width: int = 256
     max_frames: int | None = None
     every: int = 1
     holdout: int = 0
