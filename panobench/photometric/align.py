@@ -231,6 +231,7 @@ def align(
         damping, converged = 1e-4, False
         huber = max(options.huber * evaluate(state, 1.0, 10.0).sigma, options.huber_min)
         cut = options.cut * huber if level_index < options.cut_levels else 10.0
+        cut = min(cut, max(options.cut_moving * huber, options.cut_moving_min))
         now = evaluate(state, huber, cut)
         for _ in range(limit):
             if not np.isfinite(now.cost) or len(level.value) < 50:
