@@ -67,11 +67,9 @@ def run(study: StudyRequest) -> StudyResult:
         row = {"Method": method, "Camera": "pinhole" if method == "MonoGS" else "panorama", "FoV": f"{angle}°"}
         row |= {f"{s} [cm] ↓": e for s, e in zip(options.sequences, errors)}
         table.append({**row, "Mean [cm] ↓": mean(errors), "Tracked [%] ↑": None, "source": "published"})
-    own = [
-        (float(name.rpartition(" ")[2]), columns(paper, name, options.sequences)) for name in paper if "Pano" in name
-    ]
+    figures = [(float(n.rpartition(" ")[2]), columns(paper, n, options.sequences)) for n in paper if "Pano" in n]
     notes = [
-        *order_notes(points, own),
+        *order_notes(points, figures),
         "A panorama of a limited field of view keeps all latitudes; pixels outside are invalid, and the others keep "
         "their rays. The pinhole view has the panorama's angular resolution in its middle.",
         *(source_notes(options.dataset) if len(table) > len(rows) else []),
