@@ -22,9 +22,9 @@ class AlignOptions:
     threshold the few strong edges, where interpolation and occlusion err, outvote weakly textured walls.
     cut: on the finest cut_levels levels, larger residuals (in units of the Huber threshold) do not count: regions the
     reference has wrong. cut_moving, cut_moving_min: on all levels, residuals above both (in units of the Huber
-    threshold; of 1) do not count, see ``watchful``. depth_edge: pixels whose four neighbours span a larger ratio of
-    depths (at full size) are left out. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v)
-    is ill-suited there).
+    threshold; of 1) do not count if a twentieth of the view has such, see ``watchful``. depth_edge: pixels whose four
+    neighbours span a larger ratio of depths (at full size) are left out. latitude_limit_deg: rows nearer the poles are
+    left out (alignment in (u, v) is ill-suited there).
     step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
     turn_only: keep the start's translation.
     """
@@ -48,14 +48,14 @@ class AlignOptions:
 #: The options when none are given.
 DEFAULT = AlignOptions()
 #: Views of more solid angle see enough of the scene past something large that moves.
-WIDE_SR = 2 * np.pi
+WIDE_SR = 3 * np.pi
 
 
 def watchful(camera: Camera, options: AlignOptions = DEFAULT) -> AlignOptions:
     """``options`` under which what moves before a wide camera does not pull the pose.
 
-    The Huber cost alone bounds a pixel's pull, not that of a quarter of the view that moves together. Narrow views keep
-    theirs: there the same residuals are the parallax by which a turn is told from a translation.
+    The Huber cost alone bounds a pixel's pull, not that of a quarter of the view that moves together. Other views keep
+    theirs: in them the same residuals are the parallax by which a turn is told from a translation.
     """
     wide = float(camera.solid_angle()[camera.valid_mask()].sum()) > WIDE_SR
     return replace(options, cut_moving=5.0) if wide else options

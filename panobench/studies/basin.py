@@ -41,7 +41,7 @@ class BasinOptions:
     dataset: str = "rooms"
     root: str | None = None
     sequence: str | None = "room1"
-    width: int = 512
+    width: int = 256
     fov: tuple[float, ...] = (120.0, 200.0, 280.0, 360.0)
     pinhole: bool = True
     frame: int = 10

@@ -31,13 +31,13 @@ DISTURBANCES = (
     "yaw=6",
 )
 _WORDS = {
-    "noise": "Gaussian noise, sigma {}",
-    "blur": "motion blur, {} px",
-    "rolling": "exposure swinging by ±{:.0%}",
-    "occluder": "moving occluder over {:.0%} of the sphere",
-    "black": "{} black frames in the middle",
+    "noise": "noise, sigma {}",
+    "blur": "blur, {} px",
+    "rolling": "exposure ±{:.0%}",
+    "occluder": "occluder, {:.0%} of the view",
+    "black": "{} black frames",
     "every": "one frame in {}",
-    "yaw": "turning by {}°/frame on top",
+    "yaw": "yaw, {}°/frame",
 }
 
 
@@ -97,7 +97,10 @@ def run(study: StudyRequest) -> StudyResult:
         "errors": "Error under disturbances. ATE on a logarithmic axis; what is not there was lost.",
     }
     notes = [
-        f"Images {options.width} pixels wide. Disturbances have a fixed seed: every method gets the same images.",
+        f"Images {options.width} pixels wide. Disturbances have a fixed seed: every method gets the same images. Noise "
+        "is Gaussian, blur a streak along the rows, exposure swings with a period of 24 frames, the occluder is a "
+        "chequered disc that moves by 3° a frame, black frames lie in the middle, and the yaw is on top of the "
+        "camera's own motion.",
         "A black frame can have no pose and does not count in this table. The protocol counts it, so such runs are "
         "lost in the tables of the runs.",
         *reasons(results, failed),
@@ -123,7 +126,7 @@ def _cell(options: RobustnessOptions, method: str, sequence: str, text: str, see
 
 
 def describe(text: str) -> str:
-    """For people: "noise=0.03" -> "Gaussian noise, sigma 0.03". Raises UsageError for what is no disturbance."""
+    """For people: "noise=0.03" -> "noise, sigma 0.03". Raises UsageError for what is no disturbance."""
     if text == "none":
         return text
     words = []

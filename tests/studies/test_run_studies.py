@@ -152,10 +152,10 @@ def test_robustness_disturbs_one_thing_at_a_time_and_shows_the_coverage_of_lost_
     assert {r.dataset for r in requests} == {"disturbed"}
     assert len({c.identity for c in answers["cells"]}) == 2 * 2 * 10
     assert {r.sequence for r in requests if r.every == 5} == {"rooms/room1", "synpano/devroom"}
-    noisy = row(result, "robustness", Method="sparse", Disturbance="Gaussian noise, sigma 0.03")
+    noisy = row(result, "robustness", Method="sparse", Disturbance="noise, sigma 0.03")
     assert (noisy["room1 tracked [%] ↑"], noisy["room1 ATE [mm] ↓"]) == (100.0, pytest.approx(2.0))
     assert noisy["synpano/devroom PSNR [dB] ↑"] == 31.0
-    hidden = row(result, "robustness", Method="panogs", Disturbance="moving occluder over 25% of the sphere")
+    hidden = row(result, "robustness", Method="panogs", Disturbance="occluder, 25% of the view")
     assert (hidden["room1 tracked [%] ↑"], hidden["room1 ATE [mm] ↓"]) == (pytest.approx(80.0), "/")
     crashed = row(result, "robustness", Method="panogs", Disturbance="one frame in 10")
     assert crashed["room1 tracked [%] ↑"] == "/"
