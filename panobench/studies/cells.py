@@ -135,6 +135,16 @@ def mean(medians: Sequence[float | str | None]) -> float | str | None:
     return sum(numbers) / len(numbers) if numbers and len(numbers) == len(medians) else None
 
 
+def geometric_mean(medians: Sequence[float | str | None]) -> float | str | None:
+    """As ``mean``, but no sequence outweighs the others: errors of rooms differ by factors of a hundred."""
+    if any(m == FAILED for m in medians):
+        return FAILED
+    numbers = [m for m in medians if isinstance(m, float) and m > 0]
+    if not numbers or len(numbers) != len(medians):
+        return None
+    return math.exp(sum(math.log(n) for n in numbers) / len(numbers))
+
+
 def reasons(results: dict[str, Stored], cells: Iterable[Cell]) -> list[str]:
     """A line for each cell that did not succeed."""
     lines = []

@@ -92,6 +92,9 @@ def test_the_median_takes_the_worse_side_for_scores_as_for_errors(tmp_path: Path
     assert cells.mean([1.0, "/"]) == "/"
     assert cells.mean([1.0, None]) is None
     assert cells.mean([1.0, 2.0]) == 1.5
+    assert cells.geometric_mean([1.0, 4.0]) == pytest.approx(2.0)
+    assert cells.geometric_mean([1.0, "/"]) == "/"
+    assert cells.geometric_mean([1.0, None]) is None
 
 
 def test_ablation_changes_one_thing_at_a_time(tmp_path: Path, answers: Any) -> None:
@@ -104,6 +107,7 @@ def test_ablation_changes_one_thing_at_a_time(tmp_path: Path, answers: Any) -> N
     assert (None, (("depth_guided", False), ("sweep", False)), "constant") in settings
     assert len(answers["cells"]) == 2 * 12
     full = row(result, "ablation", Method="PanoGS-SLAM", Preset="default")
+    assert full["ATE geom. mean [cm] ↓"] == pytest.approx(1.0)
     assert (full["ATE [cm] ↓"], full["PSNR [dB] ↑"], full["LPIPS ↓"]) == (pytest.approx(1.0), 30.0, None)
     assert row(result, "ablation", Method="w/o L_pano", source="published")["ATE [cm] ↓"] == 5.19
 
