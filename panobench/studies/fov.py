@@ -71,7 +71,8 @@ def run(study: StudyRequest) -> StudyResult:
     notes = [
         *order_notes(points, figures),
         "A panorama of a limited field of view keeps all latitudes; pixels outside are invalid, and the others keep "
-        "their rays. The pinhole view has the panorama's angular resolution in its middle.",
+        "their rays. The pinhole view has the panorama's angular resolution in its middle. Panoramas are "
+        f"{options.width} pixels wide{f', one frame in {options.every}' if options.every > 1 else ''}.",
         *(source_notes(options.dataset) if len(table) > len(rows) else []),
         *reasons(results, flat),
     ]
