@@ -27,6 +27,8 @@ _HESSIAN = UNKNOWNS * (UNKNOWNS + 1) // 2
 _BLOCK = 256
 #: Histogram of absolute residuals: bins and their number in one unit of intensity.
 _BINS, _PER_BIN = 1024, np.float32(4096)
+#: Share of the view that must be off by more than ``AlignOptions.cut_moving`` for something to be moving there.
+_MOVING_SHARE = 0.05
 
 
 @dataclass
@@ -120,13 +122,22 @@ _FEW = 6000
 
 @dataclass(frozen=True)
 class _Normal:
-    """H (8, 8), b (8,), mean robust cost, share of the weight that was seen and robust residual sigma."""
+    """H (8, 8), b (8,), mean robust cost, share of the weight that was seen and robust residual sigma.
+
+    shares (_BINS,): of the weight seen, up to each bin of the residuals' histogram.
+    """
 
     H: NDArray[np.float64]
     b: NDArray[np.float64]
     cost: float
     seen: float
     sigma: float
+    shares: NDArray[np.float64]
+
+    def above(self, residual: float) -> float:
+        """Share of the weight seen with larger residuals; 0 beyond what the histogram tells apart."""
+        k = residual * float(_PER_BIN)
+        return 1.0 - float(self.shares[int(k)]) if k < _BINS - 1 else 0.0
 
 
 @dataclass(frozen=True)
@@ -162,7 +173,9 @@ def _normal_equations(
     cost = float(sums[-2]) / seen if seen > 0 else np.inf
     cumulative = np.cumsum(bins.sum(axis=0))
     median = float(np.searchsorted(cumulative, 0.5 * cumulative[-1]) + 0.5) / float(_PER_BIN)
-    return _Normal(H, sums[_HESSIAN : _HESSIAN + UNKNOWNS], cost, seen / total if total > 0 else 0.0, 1.4826 * median)
+    shares = cumulative / max(cumulative[-1], 1e-12)
+    b = sums[_HESSIAN : _HESSIAN + UNKNOWNS]
+    return _Normal(H, b, cost, seen / total if total > 0 else 0.0, 1.4826 * median, shares)
 
 
 def align(
@@ -186,7 +199,7 @@ def align(
     first = top if coarsest is None else min(coarsest, top)
     state = _State(renormalise(T_fr), gain, offset)
     count, converged, costs = 0, False, []
-    now = _Normal(np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS), np.inf, 0.0, np.inf)
+    now = _Normal(np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS), np.inf, 0.0, np.inf, np.ones(_BINS))
     for step, level_index in enumerate(range(first, min(finest, first) - 1, -1)):
         level, image = reference.levels[level_index], frame[level_index]
 
@@ -195,8 +208,12 @@ def align(
 
         limit = options.iterations[min(step, len(options.iterations) - 1)]
         damping, converged = 1e-4, False
-        huber = max(options.huber * evaluate(state, 1.0, 10.0).sigma, options.huber_min)
+        before = evaluate(state, 1.0, 10.0)
+        huber = max(options.huber * before.sigma, options.huber_min)
         cut = options.cut * huber if level_index < options.cut_levels else 10.0
+        moving = max(options.cut_moving * huber, options.cut_moving_min)
+        if before.above(moving) > _MOVING_SHARE:
+            cut = min(cut, moving)
         now = evaluate(state, huber, cut)
         for _ in range(limit):
             if not np.isfinite(now.cost) or len(level.value) < 50:

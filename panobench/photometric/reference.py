@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,8 +21,10 @@ class AlignOptions:
     robust standard deviations of the level's residuals at its start, at least huber_min (of 1): with a fixed
     threshold the few strong edges, where interpolation and occlusion err, outvote weakly textured walls.
     cut: on the finest cut_levels levels, larger residuals (in units of the Huber threshold) do not count: regions the
-    reference has wrong. depth_edge: pixels whose four neighbours span a larger ratio of depths (at full size) are
-    left out. latitude_limit_deg: rows nearer the poles are left out (alignment in (u, v) is ill-suited there).
+    reference has wrong. cut_moving, cut_moving_min: on all levels, residuals above both (in units of the Huber
+    threshold; of 1) do not count if a twentieth of the view has such, see ``watchful``. depth_edge: pixels whose four
+    neighbours span a larger ratio of depths (at full size) are left out. latitude_limit_deg: rows nearer the poles are
+    left out (alignment in (u, v) is ill-suited there).
     step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
     turn_only: keep the start's translation.
     """
@@ -31,6 +34,8 @@ class AlignOptions:
     huber_min: float = 0.002
     cut: float = 10.0
     cut_levels: int = 1
+    cut_moving: float = math.inf
+    cut_moving_min: float = 0.08
     depth_edge: float = 1.1
     latitude_limit_deg: float = 75.0
     step_m: float = 2e-5
@@ -42,6 +47,18 @@ class AlignOptions:
 
 #: The options when none are given.
 DEFAULT = AlignOptions()
+#: Views of more solid angle see enough of the scene past something large that moves.
+WIDE_SR = 3 * np.pi
+
+
+def watchful(camera: Camera, options: AlignOptions = DEFAULT) -> AlignOptions:
+    """``options`` under which what moves before a wide camera does not pull the pose.
+
+    The Huber cost alone bounds a pixel's pull, not that of a quarter of the view that moves together. Other views keep
+    theirs: in them the same residuals are the parallax by which a turn is told from a translation.
+    """
+    wide = float(camera.solid_angle()[camera.valid_mask()].sum()) > WIDE_SR
+    return replace(options, cut_moving=5.0) if wide else options
 
 
 @dataclass(frozen=True)

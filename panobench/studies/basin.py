@@ -41,7 +41,7 @@ class BasinOptions:
     dataset: str = "rooms"
     root: str | None = None
     sequence: str | None = "room1"
-    width: int = 512
+    width: int = 256
     fov: tuple[float, ...] = (120.0, 200.0, 280.0, 360.0)
     pinhole: bool = True
     frame: int = 10
@@ -66,15 +66,25 @@ class BasinOptions:
             raise UsageError("study option rings: distances above 0, in median depths")
 
 
+#: A map that the few frames of the smallest room allow.
+QUICK_MAP: dict[str, Any] = {"map_views": 3, "map_every": 4, "map_iterations": 60, "frame": 6}
 QUICK: dict[str, Any] = {
     "sequence": "tiny", "width": 256, "grid": 13, "rings": (0.1, 0.2, 0.3, 0.4, 0.5), "directions": 8,
-    "map_views": 3, "map_every": 4, "map_iterations": 60, "frame": 6,
+    **QUICK_MAP,
 }  # fmt: skip
 
 
 def run(study: StudyRequest) -> StudyResult:
     """Loss surfaces, shares of starts that converge, and the Hessian's eigenvalues for every field of view."""
     options = study.choose(BasinOptions(), QUICK)
+    return _result(options, measure(options, study))
+
+
+def measure(options: BasinOptions, study: StudyRequest) -> dict[str, dict[str, Any]]:
+    """What was measured for every field of view, kept in ``study.out`` and taken from there the next time.
+
+    Raises DatasetError for a sequence without true poses and depths.
+    """
     cameras = [("120° x 60° pinhole", RunRequest(**_camera(options, "pinhole:front")))] if options.pinhole else []
     for degrees in options.fov:
         text = None if degrees >= FULL_TURN else f"{degrees:g}"
@@ -104,7 +114,7 @@ def run(study: StudyRequest) -> StudyResult:
                 study.say(f"[{len(measured) + 1}/{len(paths)}] field of view {name}")
                 measured[name] = _measure(options, sequence, fitted)
                 write_whole(paths[name], json.dumps(measured[name]))
-    return _result(options, {name: measured[name] for name in paths})
+    return {name: measured[name] for name in paths}
 
 
 def _camera(options: BasinOptions, camera: str, fov: str | None = None) -> dict[str, Any]:
@@ -189,9 +199,9 @@ def _result(options: BasinOptions, measured: dict[str, dict[str, Any]]) -> Study
     shares, conditions = [], []
     for name, m in measured.items():
         starts = m["starts"]
-        row: dict[str, Any] = {"FoV": name, "All starts [%] ↑": _share(starts)}
+        row: dict[str, Any] = {"FoV": name, "All starts [%] ↑": share(starts)}
         for ring in options.rings:
-            row[f"{ring:g} z [%] ↑"] = _share([s for s in starts if abs(s["distance"] - ring) < 1e-9])
+            row[f"{ring:g} z [%] ↑"] = share([s for s in starts if abs(s["distance"] - ring) < 1e-9])
         shares.append(row)
         values = m["eigenvalues"]
         row = {"FoV": name, "Condition number ↓": values[0] / values[-1] if values[-1] > 0 else None}
@@ -218,7 +228,10 @@ def _result(options: BasinOptions, measured: dict[str, dict[str, Any]]) -> Study
         "eigenvalues": "Eigenvalues of the pose Hessian. A flat curve is a well-conditioned pose.",
     }
     for name in measured:
-        captions["loss-" + _word(name)] = f"Loss, {name}. Photometric loss over the X-Z plane around the true pose."
+        captions["loss-" + _word(name)] = (
+            f"Loss, {name}. Photometric loss over the X-Z plane around the true pose. Circles: starts from which "
+            "tracking finds it; crosses: those from which it does not."
+        )
         captions["surface-" + _word(name)] = f"Loss surface, {name}. The same loss as height."
     place = f"{options.dataset}/{options.sequence}" if options.sequence else options.dataset
     notes = [
@@ -230,7 +243,8 @@ def _result(options: BasinOptions, measured: dict[str, dict[str, Any]]) -> Study
     return StudyResult("basin", tables, figures, notes, "Convergence basin", captions)
 
 
-def _share(starts: list[dict[str, Any]]) -> float | None:
+def share(starts: list[dict[str, Any]]) -> float | None:
+    """Per cent of the starts that converged; None of none."""
     return 100.0 * sum(s["converged"] for s in starts) / len(starts) if starts else None
 
 

@@ -20,6 +20,14 @@ def _rounded(values: Any) -> list[Any]:
     return [[float(f"{v:.4g}") for v in row] for row in values]
 
 
+def levels(low: float, high: float) -> dict[str, float]:
+    """About a dozen contour lines at round values between two losses."""
+    rough = (high - low) / 12 or 1.0
+    power = 10.0 ** np.floor(np.log10(rough))
+    size = float(power * next(step for step in (1, 2, 5, 10) if step * power >= rough * 0.999))
+    return {"start": float(np.ceil(low / size) * size), "end": float(np.floor(high / size) * size), "size": size}
+
+
 def contour(name: str, measured: Measured) -> dict[str, Any]:
     """Loss over the plane with the starts: filled circles converged, crosses did not."""
     m = measured[name]
@@ -33,9 +41,9 @@ def contour(name: str, measured: Measured) -> dict[str, Any]:
             "zmin": low,
             "zmax": high,
             "colorscale": "Viridis",
-            "contours": {"start": low, "end": high, "size": (high - low) / 16 or 1.0},
+            "contours": levels(low, high),
             "line": {"width": 0.6},
-            "colorbar": {"thickness": 10, "len": 0.9, "title": {"text": "loss"}},
+            "colorbar": {"thickness": 10, "len": 0.9, "title": {"text": "loss"}, "nticks": 6, "tickformat": ".2~f"},
             "hovertemplate": "x %{x:.2f} z<br>z %{y:.2f} z<br>loss %{z:.4f}<extra></extra>",
         }
     ]

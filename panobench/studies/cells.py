@@ -21,7 +21,10 @@ FAILED = "/"
 
 @dataclass(frozen=True)
 class RunOptions:
-    """Options of every study that runs a method: which, on what, how often, and for how long at most."""
+    """Options of every study that runs a method: which, on what, how often, and for how long at most.
+
+    width: what order the rows of a study come in shows at 256 pixels, at a fourth of the cost of 512.
+    """
 
     method: str = "panogs"
     preset: str | None = None
@@ -29,7 +32,7 @@ class RunOptions:
     root: str | None = None
     sequences: tuple[str, ...] = ("room1", "room2", "room3", "room4", "room5")
     seeds: tuple[int, ...] = (0,)
-    width: int = 512
+    width: int = 256
     max_frames: int | None = None
     every: int = 1
     holdout: int = 0
@@ -130,6 +133,16 @@ def mean(medians: Sequence[float | str | None]) -> float | str | None:
         return FAILED
     numbers = [m for m in medians if isinstance(m, float)]
     return sum(numbers) / len(numbers) if numbers and len(numbers) == len(medians) else None
+
+
+def geometric_mean(medians: Sequence[float | str | None]) -> float | str | None:
+    """As ``mean``, but no sequence outweighs the others: errors of rooms differ by factors of a hundred."""
+    if any(m == FAILED for m in medians):
+        return FAILED
+    numbers = [m for m in medians if isinstance(m, float) and m > 0]
+    if not numbers or len(numbers) != len(medians):
+        return None
+    return math.exp(sum(math.log(n) for n in numbers) / len(numbers))
 
 
 def reasons(results: dict[str, Stored], cells: Iterable[Cell]) -> list[str]:

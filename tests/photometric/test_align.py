@@ -7,10 +7,11 @@ import pytest
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
+from panobench.datasets.disturb import Disturbances, Disturber
 from panobench.geometry import invert_pose, se3_exp, se3_log
 from panobench.photometric.align import align
-from panobench.photometric.pyramid import halve, pyramid
-from panobench.photometric.reference import AlignOptions, make_reference
+from panobench.photometric.pyramid import halve, luma_of_frame, pyramid
+from panobench.photometric.reference import DEFAULT, AlignOptions, make_reference, watchful
 from panobench.photometric.warp import atan2_fast
 
 RADIUS = 2.0
@@ -71,6 +72,28 @@ def test_exposure_is_separated_from_motion() -> None:
     found = align(make_reference(camera, luma, depth, len(levels), options), levels, np.eye(4), options)
     assert np.linalg.norm(se3_log(found.T_fr @ invert_pose(T_fr))[:3]) < 2e-3
     assert np.exp(found.gain) == pytest.approx(1.2, abs=0.02)
+
+
+@pytest.mark.parametrize("apart", [2, 4])
+def test_what_moves_in_front_of_a_quarter_of_the_view_does_not_pull(apart: int) -> None:
+    """The occluder is in the reference too, 6 or 12 degrees away, with the wall's depth: as a map would have it."""
+    camera = CAMERAS["erp"]
+    occluder = Disturber(Disturbances(occluder=0.25), camera, 10)
+
+    def seen(T_wc: np.ndarray, index: int) -> tuple[np.ndarray, np.ndarray]:
+        luma, depth = view(camera, T_wc)
+        image = np.repeat(np.round(255 * luma[..., None]), 3, axis=2).astype(np.uint8)
+        return luma_of_frame(occluder(image, index), camera.valid_mask()), depth
+
+    T_fr = se3_exp(np.array([0.03, -0.01, 0.04, 0.0, np.deg2rad(1.0), 0.0]))
+    luma, depth = seen(np.eye(4), 0)
+    levels = pyramid(seen(invert_pose(T_fr), apart)[0], 64)
+    reference = make_reference(camera, luma, depth, len(levels))
+    found, pulled = (align(reference, levels, np.eye(4), options) for options in (watchful(camera), DEFAULT))
+    error, before = (np.linalg.norm(se3_log(a.T_fr @ invert_pose(T_fr))) for a in (found, pulled))
+    assert error < 5e-3
+    assert error < 0.5 * before
+    assert watchful(CAMERAS["pinhole"]) is DEFAULT
 
 
 def test_a_blank_frame_changes_nothing() -> None:

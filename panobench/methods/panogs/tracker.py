@@ -13,7 +13,7 @@ from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.views import PoseAdam
 from panobench.photometric.align import Alignment, align
 from panobench.photometric.pyramid import F32, luma_of_frame, luma_of_planes, pyramid
-from panobench.photometric.reference import AlignOptions, Reference, make_reference
+from panobench.photometric.reference import AlignOptions, Reference, make_reference, watchful
 from panobench.photometric.weighting import reweighted
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
@@ -45,6 +45,7 @@ class Tracker:
         self.valid = camera.valid_mask()
         self.weights = pixel_weights(camera, config.loss)
         fine = AlignOptions(exposure=config.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5)
+        fine = watchful(camera, fine)
         self.options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
         self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
         self.reference: Reference | None = None
