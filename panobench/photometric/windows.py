@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, solveh_banded
+from scipy.linalg import solve
 
 from panobench.geometry import hat, invert_pose, renormalise, se3_exp, se3_log
 from panobench.photometric.bundle import Bundle
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 6
+ITERATIONS = 4
 #: Largest change of a step, in units of the prior's standard deviations, after which nothing is left to do.
 SETTLED = 1e-3
 
@@ -44,34 +44,24 @@ class PosePrior:
 def fit_trajectory(T_wc: Array, windows: list[Window], prior: PosePrior, held: NDArray[np.bool_]) -> Array:
     """Poses (N, 4, 4) that suit all ``windows``; those ``held`` (N,) stay. T_wc (N, 4, 4): start and prior.
 
-    Frames are numbered in order of time, 0 to N - 1. Gauss-Newton on left twists of T_cw, a banded system.
+    Frames are numbered from 0 to N - 1. Gauss-Newton on left twists of T_cw; the prior keeps the system regular.
     """
     count = len(T_wc)
     before = invert_pose(T_wc)
     T_cw = before.copy()
-    reach = max((int(np.abs(w.frames - w.reference).max()) for w in windows), default=0)
-    span = max((int(w.frames.max(initial=w.reference) - w.frames.min(initial=w.reference)) for w in windows), default=0)
-    band = min(6 * (max(reach, span) + 1), 6 * count)
-    unit = np.repeat([1.0 / prior.translation**2, 1.0 / prior.rotation**2], 3)
-    for _ in range(ITERATIONS):
-        H, b = np.zeros((band, 6 * count)), np.zeros(6 * count)
+    unit = np.tile(np.repeat([1.0 / prior.translation**2, 1.0 / prior.rotation**2], 3), count)
+    free = np.flatnonzero(np.repeat(~held, 6))
+    for _ in range(ITERATIONS if len(free) else 0):
+        H, b = np.diag(unit), unit * se3_log(T_cw @ invert_pose(before)).ravel()
         for window in windows:
             A, g = _part(window, T_cw)
             cells = (6 * np.append(window.frames, window.reference)[:, None] + np.arange(6)).ravel()
-            rows, columns = np.meshgrid(cells, cells, indexing="ij")
-            lower = rows >= columns
-            np.add.at(H, (rows[lower] - columns[lower], columns[lower]), A[lower])
-            np.add.at(b, cells, g)
-        off = se3_log(T_cw @ invert_pose(before))
-        H[0] += np.tile(unit, count)
-        b += (unit * off).ravel()
-        _hold(H, b, np.repeat(held, 6))
-        try:
-            x = solveh_banded(H, -b, lower=True)
-        except (LinAlgError, ValueError):
-            break
+            H[cells[:, None], cells] += A
+            b[cells] += g
+        x = np.zeros(6 * count)
+        x[free] = solve(H[free[:, None], free], -b[free], assume_a="pos", overwrite_a=True, check_finite=False)
         T_cw = renormalise(se3_exp(x.reshape(count, 6)) @ T_cw)
-        if np.abs(x.reshape(count, 6) * np.sqrt(unit)).max() < SETTLED:
+        if np.abs(x * np.sqrt(unit)).max() < SETTLED:
             break
     return invert_pose(T_cw)
 
@@ -94,16 +84,20 @@ def _part(window: Window, T_cw: Array) -> tuple[Array, Array]:
     own, scale = bundle.T_fr, log_scale(bundle.T_fr, T_fr)
     measured = own.copy()
     measured[:, :3, 3] *= np.exp(scale)
-    shrink = np.repeat([np.exp(-scale), 1.0], 3)
-    e = (se3_log(T_fr @ invert_pose(measured)) * shrink).ravel()
-    J = np.concatenate([np.eye(6 * F), -_adjoint(T_fr).reshape(6 * F, 6)], axis=1)
+    S = np.tile(np.repeat([np.exp(-scale), 1.0], 3), F)
+    e = se3_log(T_fr @ invert_pose(measured)).ravel() * S
     lengths, by = np.zeros((F, 6)), np.zeros((F, 6))
     lengths[:, :3], by[:, :3] = T_fr[:, :3, 3], own[:, :3, 3]
     by /= max(float((own[:, :3, 3] * T_fr[:, :3, 3]).sum()), 1e-18)
-    J -= np.outer(lengths, by.ravel() @ J)
-    J *= np.tile(shrink, F)[:, None]
-    AJ = bundle.information @ J
-    return J.T @ AJ, AJ.T @ e + J.T @ bundle.gradient
+    u, across = S * lengths.ravel(), -_adjoint(T_fr).reshape(6 * F, 6)
+    # J = diag(S) (1 - lengths by^T) [1, across], multiplied out: it has no other full product.
+    w = np.concatenate([by.ravel(), by.ravel() @ across])
+    AS = bundle.information * S
+    AJ = np.concatenate([AS, AS @ across], axis=1) - np.outer(bundle.information @ u, w)
+    g = AJ.T @ e
+    SAJ, Sg = S[:, None] * AJ, S * bundle.gradient
+    H = np.concatenate([SAJ, across.T @ SAJ]) - np.outer(w, u @ AJ)
+    return H, g + np.concatenate([Sg, across.T @ Sg]) - w * (u @ bundle.gradient)
 
 
 def _adjoint(T: Array) -> Array:
@@ -113,13 +107,3 @@ def _adjoint(T: Array) -> Array:
     A[:, :3, :3] = A[:, 3:, 3:] = R
     A[:, :3, 3:] = hat(T[:, :3, 3]) @ R
     return A
-
-
-def _hold(H: Array, b: Array, held: NDArray[np.bool_]) -> None:
-    """Take unknowns out of a banded system (lower form, H[i, j] = entry (j + i, j)): their steps are zero."""
-    columns = np.arange(H.shape[1])
-    for i in range(H.shape[0]):
-        rows = np.minimum(columns + i, len(b) - 1)
-        H[i, held | held[rows]] = 0.0
-    H[0, held] = 1.0
-    b[held] = 0.0
