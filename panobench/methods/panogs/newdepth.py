@@ -6,7 +6,7 @@ tens of percent there. So the frame that receives depth lies some frames back, a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from panobench.methods.panogs.recent import RecentFrame
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
 from panobench.photometric.sweep import reprojection_error
+from panobench.photometric.windows import log_scale
 
 #: Sweeping needs at least this translation over the median depth.
 PARALLAX_MIN = 0.03
@@ -39,6 +40,11 @@ class Swept:
     target: RecentFrame
     images: F32
     T_fr: NDArray[np.float64]
+
+    def again(self, T_fr: NDArray[np.float64]) -> Swept:
+        """With other poses (F, 4, 4): distances grow as those between the frames do."""
+        grown = float(np.exp(-log_scale(T_fr, self.T_fr)))
+        return replace(self, depth=np.asarray(self.depth * grown, np.float32), T_fr=T_fr)
 
 
 class NewDepth:

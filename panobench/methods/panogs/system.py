@@ -268,7 +268,7 @@ class PanogsMethod(OnlineMethod):
         if swept is not None and c.smooth:
             scale = self.new_depth.map_over_swept(swept, mapped)
             self._move(self.smoother.refine(target, others, self._pose, swept.depth, scale))
-            swept = self._sweep(view, back, depth)
+            swept = swept.again(self._seen_from(view, others))
         if swept is not None and c.sweep:
             disproved = self.new_depth.disproved(swept, mapped)
             m.insert(view, render, self.new_depth.full_size(swept, c.sweep_confidence), disproved)
@@ -291,8 +291,11 @@ class PanogsMethod(OnlineMethod):
 
     def _sweep(self, view: View, back: tuple[RecentFrame, list[RecentFrame]], depth: float) -> Swept | None:
         """Sweep for ``view`` with the current poses, from a tenth of to 15 times the scene's ``depth``."""
-        T_fr = np.stack([invert_pose(self._pose(f.index)) @ view.T_wc for f in back[1]])
-        return self.new_depth.sweep(*back, T_fr, depth)
+        return self.new_depth.sweep(*back, self._seen_from(view, back[1]), depth)
+
+    def _seen_from(self, view: View, others: list[RecentFrame]) -> NDArray[np.float64]:
+        """T_fr (F, 4, 4) of ``others`` from ``view``, with the current poses."""
+        return np.stack([invert_pose(self._pose(f.index)) @ view.T_wc for f in others])
 
     def _adjust(self, *, at_the_end: bool = False) -> None:
         """The windows of bundle adjustment that are due, and the poses that suit all windows."""
