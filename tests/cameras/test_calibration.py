@@ -332,6 +332,31 @@ def test_colmap_cameras(tmp_path: Path) -> None:
         read_calibration(path)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{model: erp, width: 64, height: 32}\n",
+        "{width: 64,\n height: 32,\n model: erp}\n",
+        '# remark\n---\n{"width": 64, "height": 32, "model": "erp"}\n',
+        '"model": erp\n"width": 64\n"height": 32\n',
+        "model : erp\nwidth : 64\nheight : 32\n",
+    ],
+)
+def test_any_style_of_yaml_is_recognised(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(text)
+    found = inspect_calibration(path)
+    assert (found.format, found.camera) == ("panobench", ErpCamera(64, 32))
+
+
+def test_a_kalibr_chain_in_flow_style_is_not_taken_for_ours(tmp_path: Path) -> None:
+    path = tmp_path / "camchain.yaml"
+    path.write_text(
+        "{cam0: {camera_model: pinhole, intrinsics: [50, 50, 32, 24], distortion_model: none, resolution: [64, 48]}}"
+    )
+    assert inspect_calibration(path).format == "kalibr"
+
+
 def test_mask_beside_the_camera_file(tmp_path: Path) -> None:
     up = builtin_calibration("palvio_up").scaled(160)
     write_calibration(up, tmp_path / "camera.yaml")
@@ -378,6 +403,10 @@ def test_calibration_for_another_resolution(tmp_path: Path) -> None:
         ("model: [" + "[" * 1500, "nested too deeply|not valid YAML"),
         ("5 -244 0 0.001\n", "five lines"),
         ("hello\n", "not recognised"),
+        ("{width: 64, height: 32}\n", "not recognised"),
+        ("{model: erp,\n width: wide, height: 10}\n", r":2: .*width must be a whole number"),
+        ("{model: erp, width: 64\n", "not valid YAML"),
+        ("{" * 1500, "nested too deeply|not valid YAML"),
     ],
 )
 def test_bad_files_are_explained(tmp_path: Path, text: str, message: str) -> None:

@@ -6,6 +6,7 @@ in pixels (first pixel's centre at 0.5). `source`, `body_T_cam` (4x4) and `time_
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,17 @@ from panobench.geometry import renormalise
 from panobench.reading import inside, number_array
 
 NAME = "panobench"
+_BLOCK_KEY = re.compile(r"""^(["']?)model\1\s*:""", re.MULTILINE)
 _EXTRA = ("mask", "annulus", "source", "body_T_cam", "time_offset_s")
 
 
 def recognise(path: Path, text: str) -> bool:
-    return any(line.startswith("model:") for line in text.splitlines())
+    """A key `model` at the top; a flow mapping must be parsed to tell, and CalibrationError says where it is not YAML."""
+    if _BLOCK_KEY.search(text):
+        return True
+    lines = (line.strip() for line in text.splitlines())
+    first = next((line for line in lines if line and line != "---" and line[0] not in "#%"), "")
+    return first.startswith("{") and "model" in parse_yaml(text, path)
 
 
 def read(path: Path, options: ReadOptions) -> Calibration:
