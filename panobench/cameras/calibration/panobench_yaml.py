@@ -29,7 +29,7 @@ _EXTRA = ("mask", "annulus", "source", "body_T_cam", "time_offset_s")
 
 
 def recognise(path: Path, text: str) -> bool:
-    """A key `model` at the top; a flow mapping must be parsed to tell, and CalibrationError says where it is not YAML."""
+    """A key `model` at the top. A flow mapping is parsed to tell; CalibrationError says where it is not YAML."""
     if _BLOCK_KEY.search(text):
         return True
     lines = (line.strip() for line in text.splitlines())
