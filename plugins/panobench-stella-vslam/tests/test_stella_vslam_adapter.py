@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 import yaml
 from panobench_stella_vslam import SPEC
+from panobench_stella_vslam.fbow import SIGNATURE
 from panobench_stella_vslam.method import VOCABULARY, StellaVslam, StellaVslamConfig, camera_values
 
 from panobench import InputError, MethodError, UnavailableError, UnsupportedError
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.pinhole import PinholeCamera
+from panobench.methods.external_vocabulary import VARIABLE
 from panobench.testing import FakeCamera, TinySequence, assert_conforms, ate_rmse, pose_rows, run_method, write_program
 
 STAND_IN = """
@@ -38,6 +40,12 @@ if rows:
     open(folder + "keyframe_trajectory.txt", "w").write(rows.splitlines()[0] + "\\n")
 open(folder + "track_times.txt", "w").write("0.01\\n" * len(images))
 """
+
+
+@pytest.fixture(autouse=True)
+def without_a_vocabulary(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VOCABULARY, "none")  # none is trained for these tests
+    monkeypatch.delenv(VARIABLE, raising=False)
 
 
 def program(path: Path, rows: str, expect: str = "model: equirectangular") -> StellaVslamConfig:
@@ -76,14 +84,39 @@ def test_uneven_times_are_matched_by_number(tmp_path: Path) -> None:
 
 
 def test_a_named_vocabulary_is_handed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "orb_vocab.fbow").write_bytes(b"x")
-    monkeypatch.setenv(VOCABULARY, str(tmp_path / "orb_vocab.fbow"))
+    named = tmp_path / "orb_vocab.fbow"
+    named.write_bytes(SIGNATURE + b"x")
+    monkeypatch.setenv(VOCABULARY, str(named))
     sequence = TinySequence(n=3)
-    run = run_method(StellaVslam(program(tmp_path, by_rate(sequence, 10.0))), sequence)
+    method = StellaVslam(program(tmp_path, by_rate(sequence, 10.0)))
+    run = run_method(method, sequence)
     assert any(line == "| vocabulary" for line in run.log)
+    assert f"--vocab {named}" in run.log[0]
+    assert method.files() == [tmp_path / "run_image_slam", named]  # both count for a suite's cells
     monkeypatch.setenv(VOCABULARY, str(tmp_path / "none.fbow"))
     with pytest.raises(InputError, match="no such vocabulary"):
         run_method(StellaVslam(program(tmp_path, "")), sequence)
+
+
+def test_a_dbow2_vocabulary_is_rewritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    named = tmp_path / "ORBvoc.txt"
+    named.write_text("10 6 0 0\n0 1 " + "0 " * 32 + "0.5\n")
+    monkeypatch.delenv(VOCABULARY)
+    monkeypatch.setenv(VARIABLE, str(named))
+    sequence = TinySequence(n=3)
+    method = StellaVslam(program(tmp_path, by_rate(sequence, 10.0)))
+    run = run_method(method, sequence)
+    assert any(line == "| vocabulary" for line in run.log)
+    assert "/vocabulary.fbow" in run.log[0]
+    assert method.files()[1] == named
+
+
+def test_the_doctor_says_what_becomes_of_loops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert StellaVslam.diagnose()[-1].detail == "none: loops are not closed"
+    monkeypatch.setenv(VOCABULARY, str(tmp_path / "missing.fbow"))
+    assert not StellaVslam.diagnose()[-1].ok
+    monkeypatch.delenv(VOCABULARY)
+    assert "will be trained" in StellaVslam.diagnose()[-1].detail
 
 
 def test_a_mask_goes_along(tmp_path: Path) -> None:

@@ -14,17 +14,24 @@ import yaml
 
 from panobench import Camera, Estimate, InputError, MethodContext, UnsupportedError
 from panobench.datasets.base import Sequence
+from panobench.methods.external_findings import Finding
 from panobench.methods.external_inputs import frame_rate, opencv_fisheye, opencv_pinhole, write_images, write_mask
 from panobench.methods.external_trajectory import TrajectoryFormat
+from panobench.methods.external_vocabulary import VARIABLE, find_vocabulary
 from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench_stella_vslam.fbow import fbow_from_dbow2, is_fbow
 
 VOCABULARY = "PANOBENCH_STELLA_VSLAM_VOCABULARY"
+#: As option or variable: run without a vocabulary.
+NONE = "none"
 
 
 @dataclass(frozen=True)
 class StellaVslamConfig(ExternalConfig):
-    """vocabulary: an FBoW file (orb_vocab.fbow; "": the variable PANOBENCH_STELLA_VSLAM_VOCABULARY, else none, and then
-    no loop is closed). pace: "real-time" waits for each frame's time, "free" does not.
+    """vocabulary: an FBoW file (orb_vocab.fbow) or a DBoW2 text file, which is rewritten; "": the variables
+    PANOBENCH_STELLA_VSLAM_VOCABULARY or PANOBENCH_ORB_VOCABULARY, else one is trained on built-in rooms; "none":
+    without, and then no loop is closed.
+    pace: "real-time" waits for each frame's time, "free" does not.
     """
 
     vocabulary: str = ""
@@ -60,6 +67,56 @@ class StellaVslam(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = StellaVslamConfig
     config: StellaVslamConfig
 
+    @classmethod
+    def diagnose(cls) -> list[Finding]:
+        method, found = cls(), super().diagnose()
+        try:
+            named = method._named()
+        except InputError as error:
+            return [*found, Finding(False, "vocabulary", str(error), f"name another in {VOCABULARY}")]
+        detail = f"none named in {VOCABULARY} or {VARIABLE}: one will be trained on built-in rooms, once"
+        if method._choice() == NONE:
+            detail = "none: loops are not closed"
+        return [*found, Finding(True, "vocabulary", str(named) if named else detail)]
+
+    def files(self) -> list[Path]:
+        """The program and the named vocabulary."""
+        place = self.place()
+        found = place.find(self.command()) if place.kind in ("local", "venv") else None
+        return [Path(p) for p in (found, self._named()) if p is not None]
+
+    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+        """A vocabulary that must be trained or rewritten first is so outside the run's own time."""
+        if not self._choice():
+            find_vocabulary("", sequence, context.log)
+        self._vocabulary(sequence, context.work.resolve())
+
+    def _choice(self) -> str:
+        """What the option or the variables name: a file, NONE, or nothing."""
+        return self.config.vocabulary or os.environ.get(VOCABULARY, "") or os.environ.get(VARIABLE, "")
+
+    def _named(self) -> Path | None:
+        """The vocabulary that the user named. Raises InputError if it is not there."""
+        name = self._choice()
+        if name in ("", NONE):
+            return None
+        path = Path(name).expanduser().resolve()
+        if not path.is_file():
+            raise InputError("no such vocabulary file (FBoW's format or DBoW2's text)", path)
+        return path
+
+    def _vocabulary(self, sequence: Sequence, work: Path) -> Path | None:
+        """A file in FBoW's format, if need be a rewritten one in the work folder."""
+        if self._choice() == NONE:
+            return None
+        source = self._named() or find_vocabulary("", sequence)
+        if is_fbow(source):
+            return source
+        rewritten = work / "vocabulary.fbow"
+        if not rewritten.exists():
+            fbow_from_dbow2(source, rewritten)
+        return rewritten
+
     def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
         work = context.work
         if self.config.pace not in ("real-time", "free"):
@@ -85,15 +142,15 @@ class StellaVslam(ExternalMethod):
         arguments += ["--no-sleep"] if self.config.pace == "free" else []
         if write_mask(sequence.camera, work / "mask.png"):
             arguments += ["--mask", str(work / "mask.png")]
-        vocabulary = _vocabulary(self.config.vocabulary)
+        vocabulary = self._vocabulary(sequence, work)
         arguments += ["--vocab", str(vocabulary)] if vocabulary else ["--without-vocab"]
         if vocabulary is None:
-            context.log(f"stella_vslam: no vocabulary is named in {VOCABULARY}: loops are not closed")
+            context.log("stella_vslam: without a vocabulary: loops are not closed")
         return Job(
             arguments,
             work / "eval" / "frame_trajectory.txt",
             TrajectoryFormat("tum", index_rate=fps),
-            reads=() if vocabulary is None else (vocabulary,),
+            reads=() if vocabulary is None or work in vocabulary.parents else (vocabulary,),
             keyframes=work / "eval" / "keyframe_trajectory.txt",
             silent_when_lost=True,
         )
@@ -107,16 +164,6 @@ class StellaVslam(ExternalMethod):
             if len(seconds) == len(sequence):
                 estimate.frames = {i: {"program_tracking_s": s} for i, s in enumerate(seconds)}
         return estimate
-
-
-def _vocabulary(option: str) -> Path | None:
-    name = option or os.environ.get(VOCABULARY, "")
-    if not name:
-        return None
-    path = Path(name).expanduser().resolve()
-    if not path.is_file():
-        raise InputError("no such vocabulary file (FBoW format, usually called orb_vocab.fbow)", path)
-    return path
 
 
 def missing() -> str | None:
