@@ -1,7 +1,7 @@
 """ORB vocabularies as stella_vslam reads them: DBoW2's text turned into FBoW's binary file.
 
 FBoW keeps the tree in blocks of fixed size, one per inner node, the root's first: number of children, parent's block,
-k descriptors, and per child (block, 0) or (word with its highest bit set, weight). A signature and the sizes come first.
+k descriptors, and per child (block, 0) or (word with its highest bit set, weight). Signature and sizes come first.
 Format: the declarations in vocabulary.h of FBoW, https://github.com/stella-cv/FBoW (MIT).
 """
 
