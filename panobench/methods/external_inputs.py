@@ -105,6 +105,19 @@ def opencv_fisheye(camera: Camera) -> OpenCvFisheye:
     return OpenCvFisheye(v["fx"], v["fy"], v["cx"] - 0.5, v["cy"] - 0.5, tuple(v["k"]))
 
 
+def require_pyramid(camera: Camera, levels: int, factor: float, margin: int, program: str) -> None:
+    """Raise UnsupportedError if the smallest of an image pyramid's levels has ``margin`` or fewer rows or columns.
+
+    ORB extractors look for corners in what is left inside a margin, and crash when that is nothing.
+    """
+    side = min(camera.width, camera.height)
+    fitting = sum(round(side / factor**level) > margin for level in range(levels))
+    if fitting < levels:
+        how = f"give a larger --width, or --set levels={fitting}" if fitting else "give a larger --width"
+        size = f"{camera.width}x{camera.height}"
+        raise UnsupportedError(f"{size} pixels are too few for {levels} pyramid levels of {program}; {how}")
+
+
 def opencv_yaml(values: Mapping[str, Any]) -> str:
     """A file for OpenCV's FileStorage: numbers, strings, nested mappings (one level), 2-D arrays as matrices."""
     lines = ["%YAML:1.0", "---"]

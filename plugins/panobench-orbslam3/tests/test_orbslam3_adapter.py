@@ -75,7 +75,7 @@ def test_the_binary_gets_its_files_and_its_answer_is_read(
     rows = saved(sequence)
     keys = "\n".join(rows.splitlines()[1:3]) + "\n"
     program = write_program(tmp_path / "mono_euroc", MONO_EUROC % (rows, keys))
-    estimate = run_method(OrbSlam3Binary(OrbSlam3Config(command=str(program))), sequence).estimate
+    estimate = run_method(OrbSlam3Binary(OrbSlam3Config(command=str(program), levels=2)), sequence).estimate
     assert len(estimate.trajectory) == 6
     assert np.allclose(estimate.trajectory.positions, sequence.groundtruth.positions, atol=1e-8)  # type: ignore[union-attr]
     assert estimate.keyframes == [0, 1]
@@ -84,7 +84,7 @@ def test_the_binary_gets_its_files_and_its_answer_is_read(
 def test_a_crash_of_the_binary_shows_its_log(sequence: TinySequence, vocabulary: Path, tmp_path: Path) -> None:
     program = write_program(tmp_path / "mono_euroc", "import sys; print('Wrong path to vocabulary'); sys.exit(255)")
     with pytest.raises(MethodError, match=r"exit code 255; the log ends: Wrong path to vocabulary"):
-        run_method(OrbSlam3Binary(OrbSlam3Config(command=str(program))), sequence)
+        run_method(OrbSlam3Binary(OrbSlam3Config(command=str(program), levels=2)), sequence)
 
 
 def test_a_missing_binary_is_unavailable(sequence: TinySequence) -> None:
@@ -134,7 +134,7 @@ def test_the_bindings_are_driven_in_a_named_environment(
     sequence: TinySequence, vocabulary: Path, tmp_path: Path
 ) -> None:
     place = fake_environment(tmp_path / "env", f"ROWS = {saved(sequence)!r}\n{FAKE_PACKAGE}")
-    config = OrbSlam3Config(run_in=place, pace=0)
+    config = OrbSlam3Config(run_in=place, pace=0, levels=2)
     assert OrbSlam3.missing(config) is None
     run = run_method(OrbSlam3(config), sequence)
     assert len(run.estimate.trajectory) == 6
@@ -147,7 +147,7 @@ def test_the_bindings_are_driven_in_a_named_environment(
 def test_lost_from_the_first_frame_is_an_empty_answer(sequence: TinySequence, vocabulary: Path, tmp_path: Path) -> None:
     package = f"ROWS = ''\n{FAKE_PACKAGE}".replace('pose_valid = "OK", True', 'pose_valid = "LOST", False')
     place = fake_environment(tmp_path / "env", package)
-    estimate = run_method(OrbSlam3(OrbSlam3Config(run_in=place, pace=0)), sequence).estimate
+    estimate = run_method(OrbSlam3(OrbSlam3Config(run_in=place, pace=0, levels=2)), sequence).estimate
     assert len(estimate.trajectory) == 0
 
 
@@ -161,16 +161,28 @@ def test_an_environment_without_the_package_says_how_to_get_it(tmp_path: Path) -
 
 def test_settings_hold_the_cameras_in_opencv_pixels(tmp_path: Path) -> None:
     distorted = PinholeCamera(96, 64, 50.0, 51.0, 48.0, 32.0, distortion=(0.1, -0.02, 0.001, 0.002))
-    (tmp_path / "s.yaml").write_text(opencv_yaml(settings(distorted, 29.97, OrbSlam3Config())))
+    (tmp_path / "s.yaml").write_text(opencv_yaml(settings(distorted, 29.97, OrbSlam3Config(levels=2))))
     file = cv2.FileStorage(str(tmp_path / "s.yaml"), cv2.FILE_STORAGE_READ)
     assert file.getNode("Camera1.cx").real() == 47.5
     assert file.getNode("Camera1.k2").real() == -0.02
     assert file.getNode("Camera.fps").isInt()
     assert file.getNode("Camera1.fx").isReal()
     assert file.getNode("Camera.type").string() == "PinHole"
-    fisheye = settings(KannalaBrandtCamera.equidistant(96, 120), 10.0, OrbSlam3Config())
+    fisheye = settings(KannalaBrandtCamera.equidistant(96, 120), 10.0, OrbSlam3Config(levels=2))
     assert fisheye["Camera.type"] == "KannalaBrandt8"
     assert fisheye["Camera1.k4"] == 0.0
+
+
+def test_images_on_which_it_crashes_are_refused() -> None:
+    """ORB-SLAM3 ended with a C++ exception on views of 288x96: rows / 1.2^7 is less than the margin it leaves out."""
+    small = PinholeCamera.from_fov(288, 120, 60)  # the view that goes with panoramas of 512 pixels
+    assert small.height == 96
+    with pytest.raises(UnsupportedError, match=r"288x96 pixels are too few for 8 .*--set levels=6$"):
+        settings(small, 10.0, OrbSlam3Config())
+    assert settings(small, 10.0, OrbSlam3Config(levels=6))["ORBextractor.nLevels"] == 6
+    assert settings(small, 10.0, OrbSlam3Config(scale_factor=1.1))["ORBextractor.nLevels"] == 8
+    with pytest.raises(UnsupportedError, match=r"give a larger --width$"):
+        settings(PinholeCamera.from_fov(32, 90, 90), 10.0, OrbSlam3Config())
 
 
 def test_a_panorama_is_refused() -> None:

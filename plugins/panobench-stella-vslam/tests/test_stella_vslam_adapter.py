@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 import yaml
 from panobench_stella_vslam import SPEC
 from panobench_stella_vslam.fbow import SIGNATURE
-from panobench_stella_vslam.method import VOCABULARY, StellaVslam, StellaVslamConfig, camera_values
+from panobench_stella_vslam.method import VOCABULARY, StellaVslam, StellaVslamConfig, camera_values, pixels_per_feature
 
 from panobench import InputError, MethodError, UnavailableError, UnsupportedError
+from panobench.cameras.erp import ErpCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.methods.external_vocabulary import VARIABLE
@@ -28,7 +30,7 @@ known |= {"--eval-log-dir", "--viewer", "--start-timestamp"}
 assert set(options) <= known, options
 assert options["--start-timestamp"] == "0" and options["--viewer"] == "none"
 text = open(options["--config"]).read()
-assert "setup: monocular" in text and %(expect)r in text, text
+assert "setup: monocular" in text and "color_order: BGR" in text and %(expect)r in text, text
 images = sorted(os.listdir(options["--img-dir"]))
 if "--vocab" in options:
     open(options["--vocab"], "rb").read(1)
@@ -49,9 +51,8 @@ def without_a_vocabulary(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def program(path: Path, rows: str, expect: str = "model: equirectangular") -> StellaVslamConfig:
-    return StellaVslamConfig(
-        command=str(write_program(path / "run_image_slam", STAND_IN % {"rows": rows, "expect": expect}))
-    )
+    path = write_program(path / "run_image_slam", STAND_IN % {"rows": rows, "expect": expect})
+    return StellaVslamConfig(command=str(path), levels=2)
 
 
 def by_rate(sequence: TinySequence, rate: float) -> str:
@@ -134,7 +135,7 @@ def test_no_map_no_file_is_lost_not_crashed(tmp_path: Path) -> None:
 def test_a_crash_shows_the_log(tmp_path: Path) -> None:
     path = write_program(tmp_path / "run_image_slam", "import sys; print('Invalid setup type'); sys.exit(1)")
     with pytest.raises(MethodError, match="exit code 1; the log ends: Invalid setup type"):
-        run_method(StellaVslam(StellaVslamConfig(command=str(path))), TinySequence(n=3))
+        run_method(StellaVslam(StellaVslamConfig(command=str(path), levels=2)), TinySequence(n=3))
 
 
 def test_it_is_unavailable_without_its_program() -> None:
@@ -150,3 +151,19 @@ def test_cameras_become_stellas() -> None:
     assert camera_values(KannalaBrandtCamera.equidistant(96, 120), 30.0)["model"] == "fisheye"
     with pytest.raises(UnsupportedError, match="no fake camera"):
         camera_values(FakeCamera(), 30.0)
+
+
+def test_as_many_features_for_every_panorama() -> None:
+    assert pixels_per_feature(ErpCamera(1920, 960)) == 800
+    assert pixels_per_feature(ErpCamera(512, 256)) == 57
+    assert pixels_per_feature(ErpCamera(3840, 1920)) == 800
+    assert pixels_per_feature(PinholeCamera.from_fov(640, 110, 90)) == 200
+
+
+def test_images_on_which_it_crashes_are_refused(tmp_path: Path) -> None:
+    """stella_vslam ended with std::bad_alloc on views of 288x96."""
+    sequence = TinySequence(PinholeCamera.from_fov(288, 120, 60), n=2)
+    config = dataclasses.replace(program(tmp_path, "", "model: perspective"), levels=8)
+    with pytest.raises(UnsupportedError, match=r"288x96 pixels are too few for 8 .*--set levels=6$"):
+        run_method(StellaVslam(config), sequence)
+    assert len(run_method(StellaVslam(dataclasses.replace(config, levels=6)), sequence).estimate.trajectory) == 0

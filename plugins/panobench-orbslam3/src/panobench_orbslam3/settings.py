@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from panobench import Camera, UnsupportedError
-from panobench.methods.external_inputs import opencv_fisheye, opencv_pinhole
+from panobench.methods.external_inputs import opencv_fisheye, opencv_pinhole, require_pyramid
 from panobench.methods.subprocess_adapter import ExternalConfig
+
+#: Pixels of each pyramid level, on both sides together, in which ORB-SLAM3 looks for no corners.
+MARGIN = 32
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ def settings(camera: Camera, rate: float, config: OrbSlam3Config) -> dict[str, A
             values |= {"Camera1.k3": k3} if k3 else {}
     else:
         raise UnsupportedError(f"ORB-SLAM3 has no {camera.kind} camera; give --camera pinhole or fisheye")
+    require_pyramid(camera, config.levels, config.scale_factor, MARGIN, "ORB-SLAM3")
     values |= {f"Camera1.{key}": float(getattr(numbers, key)) for key in ("fx", "fy", "cx", "cy")}
     values |= {
         "Camera.width": camera.width,

@@ -15,7 +15,14 @@ import yaml
 from panobench import Camera, Estimate, InputError, MethodContext, UnsupportedError
 from panobench.datasets.base import Sequence
 from panobench.methods.external_findings import Finding
-from panobench.methods.external_inputs import frame_rate, opencv_fisheye, opencv_pinhole, write_images, write_mask
+from panobench.methods.external_inputs import (
+    frame_rate,
+    opencv_fisheye,
+    opencv_pinhole,
+    require_pyramid,
+    write_images,
+    write_mask,
+)
 from panobench.methods.external_trajectory import TrajectoryFormat
 from panobench.methods.external_vocabulary import VARIABLE, find_vocabulary
 from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
@@ -24,6 +31,8 @@ from panobench_stella_vslam.fbow import fbow_from_dbow2, is_fbow
 VOCABULARY = "PANOBENCH_STELLA_VSLAM_VOCABULARY"
 #: As option or variable: run without a vocabulary.
 NONE = "none"
+#: Pixels of each pyramid level, on both sides together, in which stella_vslam looks for no corners.
+MARGIN = 38
 
 
 @dataclass(frozen=True)
@@ -32,18 +41,36 @@ class StellaVslamConfig(ExternalConfig):
     PANOBENCH_STELLA_VSLAM_VOCABULARY or PANOBENCH_ORB_VOCABULARY, else one is trained on built-in rooms; "none":
     without, and then no loop is closed.
     pace: "real-time" waits for each frame's time, "free" does not.
+    min_size: pixels per feature on every pyramid level; 0: see ``pixels_per_feature``.
     """
 
     vocabulary: str = ""
     pace: str = "real-time"
     ini_fast: int = 20
     min_fast: int = 7
-    min_size: int = 800
+    min_size: int = 0
+    levels: int = 8
+    scale_factor: float = 1.2
+
+
+def pixels_per_feature(camera: Camera) -> int:
+    """As many features for a panorama as stella_vslam's example has, 800 pixels each at 1920x960; 200 pixels elsewhere.
+
+    Its examples have 800 for every image size. With that a panorama of 1024 pixels was lost on the way, one of 512 never
+    tracked, nor was room1 in a pinhole view of 640; 200 pixels did for both.
+    """
+    scaled = 800 * camera.width * camera.height / (1920 * 960)
+    return max(1, min(800, round(scaled))) if camera.kind == "erp" else 200
 
 
 def camera_values(camera: Camera, fps: float) -> dict[str, Any]:
     """The Camera section. Raises UnsupportedError for a model stella_vslam does not have."""
-    values: dict[str, Any] = {"name": "panobench", "setup": "monocular", "fps": fps, "color_order": "RGB"}
+    values: dict[str, Any] = {
+        "name": "panobench",
+        "setup": "monocular",
+        "fps": fps,
+        "color_order": "BGR",
+    }  # as OpenCV reads
     values |= {"cols": camera.width, "rows": camera.height}
     if camera.kind == "erp":
         return values | {"model": "equirectangular"}
@@ -121,14 +148,16 @@ class StellaVslam(ExternalMethod):
         work = context.work
         if self.config.pace not in ("real-time", "free"):
             raise UnsupportedError(f"pace '{self.config.pace}': stella_vslam is run at pace real-time or free")
+        camera = sequence.camera
+        require_pyramid(camera, self.config.levels, self.config.scale_factor, MARGIN, "stella_vslam")
         fps = round(frame_rate(sequence.times), 6)
         config = {
-            "Camera": camera_values(sequence.camera, fps),
-            "Preprocessing": {"min_size": self.config.min_size},
+            "Camera": camera_values(camera, fps),
+            "Preprocessing": {"min_size": self.config.min_size or pixels_per_feature(camera)},
             "Feature": {
                 "name": "panobench",
-                "scale_factor": 1.2,
-                "num_levels": 8,
+                "scale_factor": float(self.config.scale_factor),
+                "num_levels": self.config.levels,
                 "ini_fast_threshold": self.config.ini_fast,
                 "min_fast_threshold": self.config.min_fast,
             },
@@ -140,7 +169,7 @@ class StellaVslam(ExternalMethod):
         arguments = ["--img-dir", str(work / "images"), "--config", str(work / "config.yaml")]
         arguments += ["--eval-log-dir", str(work / "eval"), "--start-timestamp", "0", "--viewer", "none", "--auto-term"]
         arguments += ["--no-sleep"] if self.config.pace == "free" else []
-        if write_mask(sequence.camera, work / "mask.png"):
+        if write_mask(camera, work / "mask.png"):
             arguments += ["--mask", str(work / "mask.png")]
         vocabulary = self._vocabulary(sequence, work)
         arguments += ["--vocab", str(vocabulary)] if vocabulary else ["--without-vocab"]
