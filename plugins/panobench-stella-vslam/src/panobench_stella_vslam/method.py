@@ -56,7 +56,7 @@ class StellaVslamConfig(ExternalConfig):
 def pixels_per_feature(camera: Camera) -> int:
     """As many features for a panorama as stella_vslam's example has, 800 pixels each at 1920x960; 200 pixels elsewhere.
 
-    Its examples have 800 for every image size. With that a panorama of 1024 pixels was lost on the way, one of 512 never
+    Its examples have 800 for every image size. With that a panorama of 1024 pixels was lost half-way, one of 512 never
     tracked, nor was room1 in a pinhole view of 640; 200 pixels did for both.
     """
     scaled = 800 * camera.width * camera.height / (1920 * 960)
