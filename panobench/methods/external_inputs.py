@@ -31,9 +31,17 @@ class WrittenImages:
 
 
 def write_images(
-    sequence: Sequence, folder: Path, *, grey: bool = False, names: list[str] | None = None
+    sequence: Sequence,
+    folder: Path,
+    *,
+    grey: bool = False,
+    names: list[str] | None = None,
+    keep: NDArray[np.bool_] | None = None,
 ) -> WrittenImages:
-    """PNG files in frame order, named 000000.png ... unless ``names`` are given (without suffix)."""
+    """PNG files in frame order, named 000000.png ... unless ``names`` are given (without suffix).
+
+    ``keep`` (H, W): pixels where it is False are written black.
+    """
     import cv2
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -41,7 +49,10 @@ def write_images(
     for frame in sequence.frames():
         name = f"{names[frame.index] if names else f'{frame.index:06d}'}.png"
         image = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY) if grey else frame.image
-        write_image(folder / name, np.asarray(image))
+        image = np.asarray(image)
+        if keep is not None:
+            image = np.where(keep if grey else keep[..., None], image, 0).astype(np.uint8)
+        write_image(folder / name, image)
         written.append(name)
     return WrittenImages(folder, written)
 
@@ -51,13 +62,23 @@ def nanoseconds(times: NDArray[np.float64]) -> list[str]:
     return [str(round(float(t) * 1e9)) for t in times]
 
 
-def write_mask(camera: Camera, path: Path) -> bool:
-    """A PNG, 255 where pixels count; False (and no file) when all of them do."""
-    valid = camera.valid_mask()
+def write_mask(camera: Camera, path: Path, keep: NDArray[np.bool_] | None = None) -> bool:
+    """A PNG, 255 where pixels count (``keep``, or all valid ones); False (and no file) when all of them do."""
+    valid = camera.valid_mask() if keep is None else keep
     if valid.all():
         return False
     write_image(path, valid)
     return True
+
+
+def ahead(camera: Camera, half_angle_deg: float = 85.0) -> NDArray[np.bool_]:
+    """(H, W): valid pixels whose rays lie within an angle of the optical axis.
+
+    For programs that carry image points on the plane z = 1, where rays at 90 degrees are at infinity and those beyond
+    come back from the other side.
+    """
+    valid = camera.valid_mask()
+    return np.asarray(valid & (camera.rays()[..., 2] > np.cos(np.deg2rad(half_angle_deg))))
 
 
 def frame_rate(times: NDArray[np.float64]) -> float:

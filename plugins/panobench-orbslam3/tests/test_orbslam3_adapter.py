@@ -12,10 +12,10 @@ import pytest
 from panobench_orbslam3 import BINARY, PYTHON
 from panobench_orbslam3.binary import OrbSlam3Binary
 from panobench_orbslam3.bindings import OrbSlam3
-from panobench_orbslam3.settings import OrbSlam3Config, settings
+from panobench_orbslam3.settings import OrbSlam3Config, seen, settings
 from panobench_orbslam3.track import decode_grey_png
 
-from panobench import Camera, MethodError, UnavailableError, UnsupportedError
+from panobench import Camera, MethodContext, MethodError, UnavailableError, UnsupportedError
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import make_pose, so3_exp
@@ -171,6 +171,19 @@ def test_settings_hold_the_cameras_in_opencv_pixels(tmp_path: Path) -> None:
     fisheye = settings(KannalaBrandtCamera.equidistant(96, 120), 10.0, OrbSlam3Config(levels=2))
     assert fisheye["Camera.type"] == "KannalaBrandt8"
     assert fisheye["Camera1.k4"] == 0.0
+
+
+def test_a_fisheye_is_shown_as_far_as_the_program_can_see(vocabulary: Path, tmp_path: Path) -> None:
+    lens = KannalaBrandtCamera.equidistant(96, 190)
+    sequence = TinySequence(lens, n=2)
+    method = OrbSlam3Binary(OrbSlam3Config(levels=2))
+    method.prepare(sequence, MethodContext(work=tmp_path))
+    written = sorted((tmp_path / "sequence" / "mav0" / "cam0" / "data").glob("*.png"))
+    image = cv2.imread(str(written[0]), cv2.IMREAD_GRAYSCALE)
+    angle = np.rad2deg(np.arccos(np.clip(lens.rays()[..., 2], -1, 1)))
+    assert image[angle < 84].mean() > 20
+    assert image[angle > 86].max() == 0
+    assert seen(PINHOLE) is None
 
 
 def test_images_on_which_it_crashes_are_refused() -> None:

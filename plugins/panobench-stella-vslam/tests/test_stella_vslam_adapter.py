@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -12,7 +13,7 @@ from panobench_stella_vslam import SPEC
 from panobench_stella_vslam.fbow import SIGNATURE
 from panobench_stella_vslam.method import VOCABULARY, StellaVslam, StellaVslamConfig, camera_values, pixels_per_feature
 
-from panobench import InputError, MethodError, UnavailableError, UnsupportedError
+from panobench import InputError, MethodContext, MethodError, UnavailableError, UnsupportedError
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.pinhole import PinholeCamera
@@ -167,3 +168,15 @@ def test_images_on_which_it_crashes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedError, match=r"288x96 pixels are too few for 8 .*--set levels=6$"):
         run_method(StellaVslam(config), sequence)
     assert len(run_method(StellaVslam(dataclasses.replace(config, levels=6)), sequence).estimate.trajectory) == 0
+
+
+def test_a_fisheye_is_masked_where_the_program_cannot_see(tmp_path: Path) -> None:
+    """With all of a 190 degree image it never started a map: it carries keypoints to the plane z = 1."""
+    lens = KannalaBrandtCamera.equidistant(96, 190)
+    method = StellaVslam(StellaVslamConfig(levels=2))
+    job = method.prepare(TinySequence(lens, n=2), MethodContext(work=tmp_path))
+    assert job.arguments[job.arguments.index("--mask") + 1] == str(tmp_path / "mask.png")
+    mask = cv2.imread(str(tmp_path / "mask.png"), cv2.IMREAD_GRAYSCALE)
+    angle = np.rad2deg(np.arccos(np.clip(lens.rays()[..., 2], -1, 1)))
+    assert mask[angle < 84].min() == 255
+    assert mask[angle > 86].max() == 0

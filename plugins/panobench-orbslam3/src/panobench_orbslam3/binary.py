@@ -10,7 +10,7 @@ from panobench.methods.external_inputs import frame_rate, nanoseconds, opencv_ya
 from panobench.methods.external_trajectory import TrajectoryFormat
 from panobench.methods.external_vocabulary import find_vocabulary
 from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
-from panobench_orbslam3.settings import OrbSlam3Config, settings
+from panobench_orbslam3.settings import OrbSlam3Config, seen, settings
 
 
 class OrbSlam3Binary(ExternalMethod):
@@ -32,7 +32,9 @@ class OrbSlam3Binary(ExternalMethod):
         values = settings(sequence.camera, frame_rate(sequence.times), self.config)
         (work / "settings.yaml").write_text(opencv_yaml(values))
         stamps = nanoseconds(sequence.times)
-        write_images(sequence, work / "sequence" / "mav0" / "cam0" / "data", grey=True, names=stamps)
+        write_images(
+            sequence, work / "sequence" / "mav0" / "cam0" / "data", grey=True, names=stamps, keep=seen(sequence.camera)
+        )
         (work / "times.txt").write_text("\n".join(stamps) + "\n")
         arguments = [vocabulary, work / "settings.yaml", work / "sequence", work / "times.txt", "run"]
         return Job(

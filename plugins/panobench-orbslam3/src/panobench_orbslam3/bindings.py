@@ -15,7 +15,7 @@ from panobench.methods.external_launch import Place
 from panobench.methods.external_trajectory import TrajectoryFormat
 from panobench.methods.external_vocabulary import VARIABLE, find_vocabulary, named_vocabulary
 from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
-from panobench_orbslam3.settings import OrbSlam3Config, settings
+from panobench_orbslam3.settings import OrbSlam3Config, seen, settings
 
 _FIX = 'pip install "pyorbslam3==0.1.1" (CPython 3.9 to 3.13, x86-64 Linux), or PANOBENCH_ORBSLAM3_RUN_IN=venv:FOLDER'
 
@@ -83,7 +83,7 @@ class OrbSlam3(ExternalMethod):
         values = settings(sequence.camera, frame_rate(sequence.times), self.config)
         (work / "settings.yaml").write_text(opencv_yaml(values))
         stamps = nanoseconds(sequence.times)
-        write_images(sequence, work / "images", grey=True, names=stamps)
+        write_images(sequence, work / "images", grey=True, names=stamps, keep=seen(sequence.camera))
         (work / "times.txt").write_text("\n".join(stamps) + "\n")
         script = work / "track.py"  # a copy, so that containers see it too
         script.write_text((Path(__file__).parent / "track.py").read_text())

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from panobench import Camera, UnsupportedError
-from panobench.methods.external_inputs import opencv_fisheye, opencv_pinhole, require_pyramid
+from panobench.methods.external_inputs import ahead, opencv_fisheye, opencv_pinhole, require_pyramid
 from panobench.methods.subprocess_adapter import ExternalConfig
 
 #: Pixels of each pyramid level, on both sides together, in which ORB-SLAM3 looks for no corners.
@@ -28,6 +31,14 @@ class OrbSlam3Config(ExternalConfig):
     ini_fast: int = 20
     min_fast: int = 7
     pace: float = 1.0
+
+
+def seen(camera: Camera) -> NDArray[np.bool_] | None:
+    """(H, W): what ORB-SLAM3 is shown of a fisheye's image; None for all of it.
+
+    It carries keypoints to the plane z = 1: with all of a 190 degree image it never started a map.
+    """
+    return ahead(camera) if camera.kind == "fisheye" else None
 
 
 def settings(camera: Camera, rate: float, config: OrbSlam3Config) -> dict[str, Any]:

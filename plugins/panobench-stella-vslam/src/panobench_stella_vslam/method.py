@@ -16,6 +16,7 @@ from panobench import Camera, Estimate, InputError, MethodContext, UnsupportedEr
 from panobench.datasets.base import Sequence
 from panobench.methods.external_findings import Finding
 from panobench.methods.external_inputs import (
+    ahead,
     frame_rate,
     opencv_fisheye,
     opencv_pinhole,
@@ -169,7 +170,7 @@ class StellaVslam(ExternalMethod):
         arguments = ["--img-dir", str(work / "images"), "--config", str(work / "config.yaml")]
         arguments += ["--eval-log-dir", str(work / "eval"), "--start-timestamp", "0", "--viewer", "none", "--auto-term"]
         arguments += ["--no-sleep"] if self.config.pace == "free" else []
-        if write_mask(camera, work / "mask.png"):
+        if write_mask(camera, work / "mask.png", ahead(camera) if camera.kind == "fisheye" else None):
             arguments += ["--mask", str(work / "mask.png")]
         vocabulary = self._vocabulary(sequence, work)
         arguments += ["--vocab", str(vocabulary)] if vocabulary else ["--without-vocab"]
