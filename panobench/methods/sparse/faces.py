@@ -19,8 +19,9 @@ Array = NDArray[np.float64]
 
 #: Border around the 90 degrees of a cube side, in face pixels: half of a coarse patch and room to search.
 MARGIN = 28
-#: A camera whose rays all have at least this cosine to its axis is seen as a single face.
-SINGLE_FACE_COSINE = 0.25
+#: A camera whose rays all have at least this cosine to its axis (68 degrees) is seen as a single face. Beyond, a plane
+#: spends so many of its pixels on the rim that a cube of as many shows the middle in more detail.
+SINGLE_FACE_COSINE = 0.37
 #: Rows added beyond each pole of a panorama for the interpolation.
 POLE_ROWS = 2
 
