@@ -154,11 +154,12 @@ def test_cameras_become_stellas() -> None:
         camera_values(FakeCamera(), 30.0)
 
 
-def test_as_many_features_for_every_panorama() -> None:
+def test_features_enough_for_small_images() -> None:
     assert pixels_per_feature(ErpCamera(1920, 960)) == 800
     assert pixels_per_feature(ErpCamera(512, 256)) == 57
     assert pixels_per_feature(ErpCamera(3840, 1920)) == 800
     assert pixels_per_feature(PinholeCamera.from_fov(640, 110, 90)) == 200
+    assert pixels_per_feature(PinholeCamera.from_fov(288, 120, 60)) == 20
 
 
 def test_images_on_which_it_crashes_are_refused(tmp_path: Path) -> None:

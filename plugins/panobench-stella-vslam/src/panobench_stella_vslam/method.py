@@ -55,13 +55,15 @@ class StellaVslamConfig(ExternalConfig):
 
 
 def pixels_per_feature(camera: Camera) -> int:
-    """As many features for a panorama as stella_vslam's example has, 800 pixels each at 1920x960; 200 pixels elsewhere.
+    """As many features for a panorama as stella_vslam's example has, 800 pixels each at 1920x960; elsewhere 200 pixels
+    each, and room for 1400 at least.
 
     Its examples have 800 for every image size. With that a panorama of 1024 pixels was lost half-way, one of 512 never
-    tracked, nor was room1 in a pinhole view of 640; 200 pixels did for both.
+    tracked, nor was room1 in a pinhole view of 640; a view of 640x213 needed 97 pixels.
     """
-    scaled = 800 * camera.width * camera.height / (1920 * 960)
-    return max(1, min(800, round(scaled))) if camera.kind == "erp" else 200
+    area = camera.width * camera.height
+    wanted = min(800, 800 * area / (1920 * 960)) if camera.kind == "erp" else min(200, area / 1400)
+    return max(1, round(wanted))
 
 
 def camera_values(camera: Camera, fps: float) -> dict[str, Any]:
