@@ -319,7 +319,8 @@ class PanogsMethod(OnlineMethod):
             moved_by(before[k.index], after[k.index], fit.stretch) if k.index in after else still
             for k in self.mapper.keyframes
         ]
-        move_gaussians(self.mapper.map, anchors_of(self.mapper.born), moves)
+        for part in (self.mapper, self.dormant):
+            move_gaussians(part.map, anchors_of(part.born), moves)
         self._move(after)
         self.tracker.carried(newest)
 
