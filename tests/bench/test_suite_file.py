@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 from pathlib import Path
 from typing import Any
 
@@ -170,6 +171,10 @@ def test_the_suites_that_come_with_panobench_are_read_and_name_what_there_is(
     from panobench.plugins import registry
     from panobench.specs import MethodSpec
 
+    if path.stem == "real-systems":  # names methods of packages under plugins/
+        wanted = {"panobench-stella-vslam", "panobench-orbslam3"}
+        if not wanted <= {d.name for d in importlib.metadata.distributions()}:
+            pytest.skip("needs " + " and ".join(sorted(wanted)))
     monkeypatch.delenv("PANOBENCH_DATA", raising=False)
     suite = read_suite(path)
     assert suite.name == path.stem

@@ -5,7 +5,8 @@ import pytest
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.geometry import make_pose, matrix_from_quat
+from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.geometry import invert_pose, make_pose, matrix_from_quat
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.detail import EVEN, LEVELS, SeedPattern
 from panobench.methods.panogs.mapper import Mapper
@@ -115,3 +116,26 @@ def test_a_mapper_that_splits_keeps_its_books() -> None:
     assert len(mapper.map) == n + split == len(mapper.adam.steps) == len(mapper.born) == len(view.touched)
     assert np.count_nonzero(view.touched) >= seen
     assert mapper.optimise(2) > 0
+
+
+def test_the_last_steps_settle_the_map() -> None:
+    sequence = RoomsDataset().open("tiny", width=128)
+    depth, groundtruth = sequence.depth(0), sequence.groundtruth
+    assert depth is not None
+    assert groundtruth is not None
+    mapper = Mapper(sequence.camera, Renderer(sequence.camera), PanogsConfig(), 0)
+    T_wc = invert_pose(groundtruth.T_wc[0]) @ groundtruth.T_wc
+    views = [View(i, sequence.image(i), T_wc[i]) for i in range(6)]
+    mapper.initialise(views[0], depth)
+    for view in views:
+        mapper.add_keyframe(view, [view, *mapper.window])
+    mapper.optimise(60, poses=False)
+
+    def error() -> float:
+        renders = [mapper.renderer.forward(mapper.map, v.T_wc).colour for v in views]
+        return float(np.mean([np.square(r - v.image / np.float32(255)).mean() for r, v in zip(renders, views)]))
+
+    before, poses = error(), [v.T_wc.copy() for v in views]
+    mapper.polish(24)
+    assert error() < 0.9 * before
+    assert all(np.array_equal(v.T_wc, T) for v, T in zip(views, poses))

@@ -73,7 +73,7 @@ class PanogsConfig:
     split_size_px: float = 1.0
     split_new: float = 0.02  # with more of the image unknown or wrong nothing is split: that is not for want of detail
     prune_opacity: float = 0.05
-    final_iterations: int = 0
+    final_iterations: int = 4  # steps per keyframe at the end, on all views, with falling rates
     loop: bool = False  # close loops: parts of the map long out of sight sleep, are recognised, correct the drift since
     # Depth of the first frame when the run names no estimator
     constant_depth: float = 2.0
@@ -95,6 +95,7 @@ PAPER: dict[str, Any] = {
     "solver": "adam",
     "tracking_iterations": 15,
     "mapping_iterations": 30,
+    "final_iterations": 0,
     "initial_iterations": 60,
     "tracking_renders": 1,
     "low_pass": 0.3,

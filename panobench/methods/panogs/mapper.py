@@ -25,6 +25,8 @@ _CARVE_BEFORE = 0.85
 _CARVE_SHARE = 0.25
 #: With more planned steps than so many times a frame's, a frame does more.
 _BACKLOG = 8
+#: Of the learning rates at the start of the last steps, what they are at the end.
+FINAL_RATE = 0.1
 
 
 class Mapper:
@@ -225,8 +227,19 @@ class Mapper:
             out += round_
         return out[:iterations]
 
-    def step(self, view: View, refine_pose: bool) -> float:
-        """One render, one backward pass, one Adam step on what the view touched."""
+    def polish(self, iterations: int) -> None:
+        """The last steps, on all views that have an image in random order, with rates that fall to ``FINAL_RATE``.
+
+        At constant rates single-view steps never settle: what one view wants the next one takes back.
+        """
+        views = [v for v in {id(v): v for v in [*self.keyframes, *self.frames]}.values() if v.image.size]
+        order = [int(i) for _ in range(iterations // max(len(views), 1) + 1) for i in self.rng.permutation(len(views))]
+        for k, i in enumerate(order[:iterations]):
+            self.step(views[i], refine_pose=False, share=FINAL_RATE ** (k / iterations))
+        self.prune()
+
+    def step(self, view: View, refine_pose: bool, share: float = 1.0) -> float:
+        """One render, one backward pass, one Adam step, of ``share`` the usual size, on what the view touched."""
         out = self.renderer.forward(self.map, view.T_wc)
         # What has no Gaussians yet must not make its neighbours spread over it.
         weights = self.weights * (out.opacity > 0.5) if self.config.sweep else self.weights
@@ -235,17 +248,17 @@ class Mapper:
         )
         isotropy = self.config.isotropy / max(3 * len(out.order), 1)
         z = self.median_depth
-        pose = self.adam.step_back(self.renderer, gradient, self.rates(), isotropy, (1e-4 * z, 0.5 * z))
+        pose = self.adam.step_back(self.renderer, gradient, self.rates(share), isotropy, (1e-4 * z, 0.5 * z))
         if refine_pose and self.config.refine_poses and self.keyframes and view is not self.keyframes[0]:
             rates = (self.config.pose_rate_translation_rel * z, self.config.pose_rate_rotation)
             view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), pose, rates))
         return loss
 
-    def rates(self) -> LearningRates:
+    def rates(self, share: float = 1.0) -> LearningRates:
         c = self.config
         return LearningRates(
-            c.position_rate_rel * self.median_depth, c.scale_rate, c.rotation_rate, c.opacity_rate, c.colour_rate,
-            c.lift, c.tilt,
+            c.position_rate_rel * self.median_depth * share, c.scale_rate * share, c.rotation_rate * share,
+            c.opacity_rate * share, c.colour_rate * share, c.lift, c.tilt,
         )  # fmt: skip
 
     def prune(self) -> int:

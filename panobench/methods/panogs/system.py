@@ -344,9 +344,7 @@ class PanogsMethod(OnlineMethod):
         self.dormant.wake(self.mapper)
         self.mapper.work(len(self.mapper.todo))
         self._adjust(at_the_end=True)
-        if self.config.final_iterations and self.mapper.keyframes:
-            self.mapper.window = [v for v in self.mapper.keyframes if v.image.size]
-            self.mapper.optimise(self.config.final_iterations, poses=False)
+        self.mapper.polish(self.config.final_iterations * len(self.mapper.keyframes))
         indices = sorted(self.records)
         records = [self.records[i] for i in indices]
         poses = np.array([r.T_wc for r in records]).reshape(-1, 4, 4)
