@@ -82,6 +82,22 @@ def test_images_and_windows_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> No
         np.testing.assert_allclose(fit.poses[i], truth[i], atol=1e-12)
 
 
+def test_no_window_spans_a_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backend, "REACH", 8)
+    monkeypatch.setattr(backend, "EVERY", 4)
+    scale, luma, depth, T_wc = room()
+    b = Backend(scale)
+    for i in range(FRAMES):
+        if i == 10:
+            b.cut()
+        b.add(i, luma[i])
+        while (index := b.due(at_the_end=i == FRAMES - 1)) is not None:
+            b.adjust(lambda k: T_wc[k], depth[index])
+    assert len(b.windows) == 5
+    for w in b.windows:
+        assert np.all((w.frames < 10) == (w.reference < 10))
+
+
 def test_frames_without_a_window_follow() -> None:
     before = {i: se3_exp([0.1 * i, 0, 0, 0, 0.1 * i, 0]) for i in range(6)}
     turn = se3_exp([0.01, -0.02, 0.03, 0.02, 0.01, 0.0])

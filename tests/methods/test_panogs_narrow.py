@@ -78,13 +78,41 @@ class LateDepth(DepthEstimator):
         return DepthEstimate(np.full(self.shape, 2.0, np.float32), 2, T_wc=poses)
 
 
-def test_frames_before_the_first_with_depth_keep_the_estimators_poses() -> None:
+def test_frames_that_the_map_does_not_show_keep_the_estimators_poses() -> None:
     method = PanogsMethod(PanogsConfig(mapping_iterations=2, initial_iterations=2))
     method.start(ErpCamera(64, 32), MethodContext(make_depth=LateDepth))
-    patches = np.random.default_rng(0).integers(0, 255, (4, 8, 3), dtype=np.uint8)  # noise the map could not show
-    image = np.kron(patches, np.ones((8, 8, 1), np.uint8))
+    rng = np.random.default_rng(0)
+    shown = np.kron(rng.integers(0, 255, (4, 8, 3), dtype=np.uint8), np.ones((8, 8, 1), np.uint8))
     for k in range(4):
-        method.track(Frame(k, k / 15, image))
+        method.track(Frame(k, k / 15, shown if k > 1 else rng.integers(0, 255, shown.shape, dtype=np.uint8)))
     estimate = method.finish()
     assert len(estimate.trajectory) == 4
     assert estimate.trajectory.positions[:3, 0] == pytest.approx([-0.02, -0.01, 0.0])
+
+
+class DepthOfTheMiddle(DepthEstimator):
+    """Knows the depth of frame 10 once it has seen frame 12, and no poses."""
+
+    def start(self, camera: Camera, seed: int = 0) -> None:
+        self.frames: list[int] = []
+
+    def add(self, frame: Frame) -> DepthEstimate | None:
+        self.frames.append(frame.index)
+        depth = RoomsDataset().open("tiny", width=128).depth(10)
+        assert depth is not None
+        return DepthEstimate(depth, 10) if len(self.frames) == 13 else None
+
+
+def test_frames_before_the_first_with_depth_are_tracked_backwards() -> None:
+    sequence = RoomsDataset().open("tiny", width=128)
+    method = PanogsMethod(PanogsConfig(mapping_iterations=4))
+    method.start(sequence.camera, MethodContext(make_depth=DepthOfTheMiddle))
+    for k in range(16):
+        method.track(Frame(k, k / 15, sequence.image(k)))
+    estimate = method.finish()
+    assert len(estimate.trajectory) == 16
+    assert sequence.groundtruth is not None
+    truth = sequence.groundtruth.T_wc[:16, :3, 3]
+    s = umeyama(estimate.trajectory.positions, truth)
+    assert np.linalg.norm(s.apply_points(estimate.trajectory.positions) - truth, axis=1).max() < 0.015
+    assert s.scale == pytest.approx(1, abs=0.05)

@@ -42,6 +42,7 @@ class Fit:
 class _Frame:
     index: int
     luma: F32 | None  # None once no window needs it
+    run: int  # frames of one run follow one another
 
 
 class Backend:
@@ -51,19 +52,25 @@ class Backend:
         self.scale = scale
         self.frames: list[_Frame] = []
         self.windows: list[Window] = []
-        self._next = 0
+        self._next = self._run = 0
 
     def add(self, index: int, luma: F32) -> None:
         """A frame by its index in the sequence, luma (h, w) at the working size."""
-        self.frames.append(_Frame(index, luma))
+        self.frames.append(_Frame(index, luma, self._run))
         old = min(self._next - REACH, len(self.frames) - 1 - 2 * REACH - EVERY)
         if old > 0:
             self.frames[old - 1].luma = None
 
+    def cut(self) -> None:
+        """What comes does not follow what came: no window has frames of both."""
+        self._run += 1
+
     def due(self, *, at_the_end: bool = False) -> int | None:
         """Index of the frame that should get its window now: ``REACH`` frames have followed it, or none will."""
-        if self._next < len(self.frames) - (1 if at_the_end else REACH):
-            return self.frames[self._next].index
+        if self._next < len(self.frames) - 1:
+            frame = self.frames[self._next]
+            if at_the_end or frame.run < self._run or self._next < len(self.frames) - REACH:
+                return frame.index
         return None
 
     def adjust(self, pose: Callable[[int], Pose], depth: F32) -> None:
@@ -71,8 +78,8 @@ class Backend:
         k, s = self._next, self.scale
         self._next += EVERY
         target = self.frames[k]
-        near = [(n, self.frames[n].luma) for n in range(max(k - REACH, 0), min(k + REACH + 1, len(self.frames)))]
-        others = [(n, luma) for n, luma in near if n != k and luma is not None]
+        near = [(n, self.frames[n]) for n in range(max(k - REACH, 0), min(k + REACH + 1, len(self.frames)))]
+        others = [(n, f.luma) for n, f in near if n != k and f.luma is not None and f.run == target.run]
         if target.luma is None or not others:
             return
         numbers = np.array([n for n, _ in others])
@@ -106,13 +113,14 @@ class Backend:
 def followed(before: dict[int, Pose], fitted: dict[int, Pose]) -> tuple[dict[int, Pose], Pose]:
     """Poses T_wc of all frames ``before`` by index, once some are ``fitted``, and what the newest was moved by.
 
-    The others, which hardly moved or are younger, stay where they were to the last fitted one before them.
+    ``before`` is in the order of tracking. The others, which hardly moved or are younger, stay where they were to the
+    last fitted one before them.
     """
     move, after = np.eye(4), {}
-    for index in sorted(before):
+    for index, T_wc in before.items():
         if index in fitted:
-            move = fitted[index] @ invert_pose(before[index])
-        after[index] = renormalise(move @ before[index])
+            move = fitted[index] @ invert_pose(T_wc)
+        after[index] = renormalise(move @ T_wc)
     return after, move
 
 

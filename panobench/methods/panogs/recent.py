@@ -54,6 +54,11 @@ class RecentFrames:
         self._frames.append(RecentFrame(index, image, luma, fine))
         return self._frames[-1]
 
+    def clear(self) -> None:
+        """What comes does not follow what came."""
+        self._frames.clear()
+        self._last = np.full(3, np.inf)
+
     def before(self, delay: int) -> RecentFrame:
         """The frame ``delay`` before the newest."""
         return self._frames[-1 - delay]

@@ -146,12 +146,25 @@ class PanogsMethod(OnlineMethod):
         self.tracker.reset(view.T_wc)
         self.records[first.index] = _Record(first.time, view, np.eye(4))
         self.numbers[first.index] = {"keyframe": 1.0}
+        self._follow_back([f for f in waiting if f.index < first.index], view, estimate)
         for frame in waiting:
-            hint = estimate.T_wc.get(frame.index)
             if frame.index > first.index:
-                self._process(frame, hint)
-            elif hint is not None:  # before there was depth to be had: the estimator's pose has to do
-                self.records.setdefault(frame.index, _Record(frame.time, view, hint))
+                self._process(frame, estimate.T_wc.get(frame.index))
+
+    def _follow_back(self, earlier: list[Frame], first: View, estimate: DepthEstimate) -> None:
+        """Track and map the frames before the first with depth, backwards in time, and return to it."""
+        for frame in reversed(earlier):
+            hint = estimate.T_wc.get(frame.index)
+            self._process(frame, hint)
+            if hint is not None:  # the map does not show this frame: the estimator's pose has to do
+                self.records.setdefault(frame.index, _Record(frame.time, first, hint))
+        if earlier:
+            self.recent.clear()
+            self.backend.cut()
+            self._adjust()
+            self.tracker.reset(first.T_wc)
+            self.tracker.reference = None
+            self.relocaliser.interrupted()
 
     def _process(self, frame: Frame, hint: NDArray[np.float64] | None = None) -> None:
         began = time.perf_counter()
@@ -203,7 +216,7 @@ class PanogsMethod(OnlineMethod):
         distance = float(np.linalg.norm(view.position - last.position)) / local
         self.numbers.setdefault(frame.index, {})["new_share"] = new_share
         if not is_keyframe(
-            self.config, seen > 0, last_seen > 0, distance, frame.index - last.index,
+            self.config, seen > 0, last_seen > 0, distance, abs(frame.index - last.index),
             len(m.window) >= self.config.window, new_share,
         ):  # fmt: skip
             m.remember(view)
@@ -311,8 +324,9 @@ class PanogsMethod(OnlineMethod):
         """Give frames their fitted poses; the map and its keyframes go along."""
         if not fit.poses:
             return
-        first = min(fit.poses)
-        before = {i: record.T_wc for i, record in self.records.items() if i >= first}
+        order = list(self.records)  # as they were tracked
+        since = next(n for n, index in enumerate(order) if index in fit.poses)
+        before = {index: self._pose(index) for index in order[since:]}
         after, newest = followed(before, fit.poses)
         still = Sim3(1.0, np.eye(3), np.zeros(3))
         moves = [
@@ -323,6 +337,7 @@ class PanogsMethod(OnlineMethod):
             move_gaussians(part.map, anchors_of(part.born), moves)
         self._move(after)
         self.tracker.carried(newest)
+        self.relocaliser.moved(lambda T_wc: newest @ T_wc)
 
     def _pose(self, index: int) -> NDArray[np.float64]:
         return self.records[index].T_wc
