@@ -71,7 +71,7 @@ def test_every_frame_is_in_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_images_and_windows_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = list(room()[3])
     b = run(truth, monkeypatch, reach=3, every=2)
-    assert sum(f.luma is not None for f in b.frames) <= 2 * 3 + 2 + 1
+    assert sum(f.luma is not None for f in b.frames) <= (2 * 3 + 2 + 1) + (3 + 1)
     monkeypatch.setattr(backend, "FREE", 6)
     fit = b.fit(lambda i: truth[i], 2.0)
     assert len(b.windows) < 7
@@ -82,20 +82,32 @@ def test_images_and_windows_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> No
         np.testing.assert_allclose(fit.poses[i], truth[i], atol=1e-12)
 
 
-def test_no_window_spans_a_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_tracked_backwards_and_those_after_them_share_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(backend, "REACH", 8)
     monkeypatch.setattr(backend, "EVERY", 4)
     scale, luma, depth, T_wc = room()
+    noise = np.random.default_rng(0).normal(0, 0.003, (FRAMES, 6))
+    noise[10] = 0
+    start = list(T_wc @ se3_exp(noise))
     b = Backend(scale)
-    for i in range(FRAMES):
-        if i == 10:
-            b.cut()
+
+    def adjust(at_the_end: bool) -> None:
+        while (index := b.due(at_the_end=at_the_end)) is not None:
+            b.adjust(lambda k: start[k], depth[index])
+
+    for i in range(10, FRAMES):
         b.add(i, luma[i])
-        while (index := b.due(at_the_end=i == FRAMES - 1)) is not None:
-            b.adjust(lambda k: T_wc[k], depth[index])
-    assert len(b.windows) == 5
-    for w in b.windows:
-        assert np.all((w.frames < 10) == (w.reference < 10))
+        adjust(at_the_end=i == FRAMES - 1)
+    b.turn()
+    for i in range(9, -1, -1):
+        b.add(i, luma[i])
+        adjust(at_the_end=i == 0)
+    assert [f.index for f in b.frames] == list(range(FRAMES))[::-1]
+    assert [b.frames[w.reference].index for w in b.windows] == [10, 14, 18, 10, 6, 2]
+    assert {b.frames[n].index for n in b.windows[3].frames} == set(range(2, 19)) - {10}
+    fit = b.fit(lambda i: start[i], 2.0)
+    after = np.stack([fit.poses[i] for i in range(FRAMES)])
+    assert misfit(after, T_wc) < 0.4 * misfit(np.stack(start), T_wc)
 
 
 def test_frames_without_a_window_follow() -> None:

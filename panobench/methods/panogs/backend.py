@@ -42,35 +42,35 @@ class Fit:
 class _Frame:
     index: int
     luma: F32 | None  # None once no window needs it
-    run: int  # frames of one run follow one another
 
 
 class Backend:
-    """Frames that moved are numbered in order; the images of the last ``2 REACH + 1`` are kept."""
+    """Frames that moved are numbered in order; the images of the first and the last some are kept."""
 
     def __init__(self, scale: WorkingScale) -> None:
         self.scale = scale
         self.frames: list[_Frame] = []
         self.windows: list[Window] = []
-        self._next = self._run = 0
+        self._next, self._turned = 0, False
 
     def add(self, index: int, luma: F32) -> None:
         """A frame by its index in the sequence, luma (h, w) at the working size."""
-        self.frames.append(_Frame(index, luma, self._run))
+        self.frames.append(_Frame(index, luma))
         old = min(self._next - REACH, len(self.frames) - 1 - 2 * REACH - EVERY)
-        if old > 0:
+        if old > REACH + 1:  # the very first are wanted again if frames before them are (``turn``)
             self.frames[old - 1].luma = None
 
-    def cut(self) -> None:
-        """What comes does not follow what came: no window has frames of both."""
-        self._run += 1
+    def turn(self) -> None:
+        """What comes goes on from the first frame, backwards in time."""
+        last = len(self.frames) - 1
+        self.frames.reverse()
+        self.windows = [Window(last - w.reference, last - w.frames, w.bundle) for w in self.windows]
+        self._next, self._turned = max(last, 0), True
 
     def due(self, *, at_the_end: bool = False) -> int | None:
         """Index of the frame that should get its window now: ``REACH`` frames have followed it, or none will."""
-        if self._next < len(self.frames) - 1:
-            frame = self.frames[self._next]
-            if at_the_end or frame.run < self._run or self._next < len(self.frames) - REACH:
-                return frame.index
+        if self._next < len(self.frames) - (1 if at_the_end else REACH):
+            return self.frames[self._next].index
         return None
 
     def adjust(self, pose: Callable[[int], Pose], depth: F32) -> None:
@@ -79,7 +79,7 @@ class Backend:
         self._next += EVERY
         target = self.frames[k]
         near = [(n, self.frames[n]) for n in range(max(k - REACH, 0), min(k + REACH + 1, len(self.frames)))]
-        others = [(n, f.luma) for n, f in near if n != k and f.luma is not None and f.run == target.run]
+        others = [(n, f.luma) for n, f in near if n != k and f.luma is not None]
         if target.luma is None or not others:
             return
         numbers = np.array([n for n, _ in others])
@@ -107,7 +107,10 @@ class Backend:
         after = fit_trajectory(before, windows, prior, np.arange(lo, count) < free)
         # Noise in the poses before would pass for length; those after have little.
         shrunk = [log_scale(*(invert_pose(T[w.frames]) @ T[w.reference] for T in (after, before))) for w in windows]
-        return Fit(dict(zip(indices, after)), float(np.exp(-np.mean(shrunk))))
+        poses = dict(zip(indices, after))
+        if self._turned:  # those before do not come first in the order of tracking: they must not follow
+            poses |= {f.index: pose(f.index) for f in self.frames[:lo]}
+        return Fit(poses, float(np.exp(-np.mean(shrunk))))
 
 
 def followed(before: dict[int, Pose], fitted: dict[int, Pose]) -> tuple[dict[int, Pose], Pose]:

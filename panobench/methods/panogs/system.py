@@ -81,6 +81,7 @@ class PanogsMethod(OnlineMethod):
         self.closer = LoopCloser(self.tracker, self.places, self.relocaliser.descend)
         self.dormant = Dormant()
         self.waiting: list[Frame] = []
+        self.earlier: list[Frame] = []  # than the first with depth
         self.records: dict[int, _Record] = {}
         self.numbers: dict[int, dict[str, float]] = {}
         self.depth: DepthEstimate | None = None
@@ -146,25 +147,30 @@ class PanogsMethod(OnlineMethod):
         self.tracker.reset(view.T_wc)
         self.records[first.index] = _Record(first.time, view, np.eye(4))
         self.numbers[first.index] = {"keyframe": 1.0}
-        self._follow_back([f for f in waiting if f.index < first.index], view, estimate)
+        self.earlier = [f for f in waiting if f.index < first.index]
+        for frame in self.earlier:  # until there is a map to track them against, the estimator's poses have to do
+            if frame.index in estimate.T_wc:
+                self.records[frame.index] = _Record(frame.time, view, estimate.T_wc[frame.index])
         for frame in waiting:
             if frame.index > first.index:
                 self._process(frame, estimate.T_wc.get(frame.index))
 
-    def _follow_back(self, earlier: list[Frame], first: View, estimate: DepthEstimate) -> None:
-        """Track and map the frames before the first with depth, backwards in time, and return to it."""
-        for frame in reversed(earlier):
-            hint = estimate.T_wc.get(frame.index)
-            self._process(frame, hint)
-            if hint is not None:  # the map does not show this frame: the estimator's pose has to do
-                self.records.setdefault(frame.index, _Record(frame.time, first, hint))
-        if earlier:
-            self.recent.clear()
-            self.backend.cut()
-            self._adjust()
-            self.tracker.reset(first.T_wc)
-            self.tracker.reference = None
-            self.relocaliser.interrupted()
+    def _follow_back(self) -> None:
+        """Track and map the frames before the first with depth, backwards; one that is lost keeps what it has."""
+        if not self.earlier:
+            return
+        self.recent.clear()
+        self.backend.turn()
+        self.tracker.reset(self.mapper.keyframes[0].T_wc)
+        self.tracker.reference = None
+        self.relocaliser.interrupted()
+        for frame in reversed(self.earlier):
+            had = self.records.pop(frame.index, None)
+            self._process(frame)
+            if had is not None:
+                self.records.setdefault(frame.index, had)
+        self.mapper.work(len(self.mapper.todo))
+        self._adjust(at_the_end=True)
 
     def _process(self, frame: Frame, hint: NDArray[np.float64] | None = None) -> None:
         began = time.perf_counter()
@@ -359,6 +365,7 @@ class PanogsMethod(OnlineMethod):
         self.dormant.wake(self.mapper)
         self.mapper.work(len(self.mapper.todo))
         self._adjust(at_the_end=True)
+        self._follow_back()
         self.mapper.polish(self.config.final_iterations * len(self.mapper.keyframes))
         indices = sorted(self.records)
         records = [self.records[i] for i in indices]
