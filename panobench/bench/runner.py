@@ -13,6 +13,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from panobench.bench.blas import one_blas_thread
 from panobench.bench.document import run_document, write_run
 from panobench.bench.evaluate import Scores, evaluate
 from panobench.bench.memory import Meter
@@ -132,12 +133,14 @@ def _track(
         observer.stage("tracking")
         method = opened.method
         if isinstance(method, BatchMethod):
-            return track_batch(method, sequence, holdout, context, observer)
+            with one_blas_thread():
+                return track_batch(method, sequence, holdout, context, observer)
 
         def frame_done(frame: Frame, T_wc: Pose | None, latency: float) -> None:
             _call_hooks("frame_done", log, frame=frame, T_wc=T_wc, latency_s=latency, method=method)
 
-        return track_online(method, sequence, holdout, context, oracle_depth(opened), observer, frame_done)
+        with one_blas_thread():
+            return track_online(method, sequence, holdout, context, oracle_depth(opened), observer, frame_done)
 
 
 def _poses(sequence: Any, truth: Any) -> dict[int, Any]:

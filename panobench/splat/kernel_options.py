@@ -5,9 +5,15 @@ from __future__ import annotations
 import os
 from typing import Any
 
+import numba
+
 # OpenMP workers otherwise spin between kernels: they burn a core while a method rests, and stall each other when
 # several runs share a machine. Read once, when the first parallel kernel loads the runtime.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+# The same layer whether or not a machine happens to have TBB, whose workers spin for a while after each kernel.
+if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
+    numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
 
 #: Kernels are cached on disk after the first compilation. Reassociation lets loops vectorise; NaN and infinity keep
 #: their meaning, since maps and images from strangers contain them.

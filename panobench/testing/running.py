@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.bench.blas import one_blas_thread
 from panobench.datasets.base import Sequence
 from panobench.geometry import umeyama
 from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
@@ -72,6 +73,18 @@ def run_method(
     poses = None if truth is None else dict(enumerate(truth.T_wc))
     imu = sequence.imu if "imu" in needs else None
     context = MethodContext(seed=seed, work=work, make_depth=make_depth, imu=imu, poses=poses, log=log.append)
+    with one_blas_thread():
+        return _run(method, sequence, context, needs, idle_s, log)
+
+
+def _run(
+    method: OnlineMethod | BatchMethod,
+    sequence: Sequence,
+    context: MethodContext,
+    needs: tuple[str, ...],
+    idle_s: float,
+    log: list[str],
+) -> MethodRun:
     if isinstance(method, BatchMethod):
         blind = BlindSequence(sequence, imu="imu" in needs)
         method.set_up(blind, context)
