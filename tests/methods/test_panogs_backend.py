@@ -78,6 +78,7 @@ def test_images_and_windows_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> No
     assert min(fit.poses) > 0
     held = [i for i in fit.poses if i < FRAMES - 6]
     assert held
+    assert fit.free == set(range(FRAMES - 6, FRAMES))
     for i in held:
         np.testing.assert_allclose(fit.poses[i], truth[i], atol=1e-12)
 

@@ -32,9 +32,12 @@ PRIOR_TRANSLATION, PRIOR_ROTATION = 0.006, 0.005
 
 @dataclass(frozen=True)
 class Fit:
-    """poses: T_wc by frame index; stretch: the factor distances between frames have grown by, on average."""
+    """poses: T_wc by frame index; free: indices of those that could move; stretch: the factor by which distances between
+    these have grown, on average.
+    """
 
     poses: dict[int, Pose]
+    free: frozenset[int] = frozenset()
     stretch: float = 1.0
 
 
@@ -107,10 +110,10 @@ class Backend:
         after = fit_trajectory(before, windows, prior, np.arange(lo, count) < free)
         # Noise in the poses before would pass for length; those after have little.
         shrunk = [log_scale(*(invert_pose(T[w.frames]) @ T[w.reference] for T in (after, before))) for w in windows]
-        poses = dict(zip(indices, after))
+        poses, free_indices = dict(zip(indices, after)), frozenset(indices[max(free - lo, 0) :])
         if self._turned:  # those before do not come first in the order of tracking: they must not follow
             poses |= {f.index: pose(f.index) for f in self.frames[:lo]}
-        return Fit(poses, float(np.exp(-np.mean(shrunk))))
+        return Fit(poses, free_indices, float(np.exp(-np.mean(shrunk))))
 
 
 def followed(before: dict[int, Pose], fitted: dict[int, Pose]) -> tuple[dict[int, Pose], Pose]:

@@ -336,7 +336,9 @@ class PanogsMethod(OnlineMethod):
         after, newest = followed(before, fit.poses)
         still = Sim3(1.0, np.eye(3), np.zeros(3))
         moves = [
-            moved_by(before[k.index], after[k.index], fit.stretch) if k.index in after else still
+            moved_by(before[k.index], after[k.index], fit.stretch if k.index in fit.free else 1.0)
+            if k.index in after
+            else still
             for k in self.mapper.keyframes
         ]
         for part in (self.mapper, self.dormant):
