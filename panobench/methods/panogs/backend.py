@@ -32,8 +32,8 @@ PRIOR_TRANSLATION, PRIOR_ROTATION = 0.006, 0.005
 
 @dataclass(frozen=True)
 class Fit:
-    """poses: T_wc by frame index; free: indices of those that could move; stretch: the factor by which distances between
-    these have grown, on average.
+    """poses: T_wc by frame index; free: indices of those that could move; stretch: the factor by which distances
+    between these have grown, on average.
     """
 
     poses: dict[int, Pose]
