@@ -132,14 +132,13 @@ def _track(
         observer.started(len(sequence), truth)
         observer.stage("tracking")
         method = opened.method
-        if isinstance(method, BatchMethod):
-            with one_blas_thread():
-                return track_batch(method, sequence, holdout, context, observer)
 
         def frame_done(frame: Frame, T_wc: Pose | None, latency: float) -> None:
             _call_hooks("frame_done", log, frame=frame, T_wc=T_wc, latency_s=latency, method=method)
 
         with one_blas_thread():
+            if isinstance(method, BatchMethod):
+                return track_batch(method, sequence, holdout, context, observer)
             return track_online(method, sequence, holdout, context, oracle_depth(opened), observer, frame_done)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from panobench.geometry import invert_pose, renormalise, se3_exp
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import DEFAULT, AlignOptions, Reference, ReferenceLevel
-from panobench.photometric.warp import dot3, project_panorama, project_pinhole, sample
+from panobench.photometric.warp import dot3, project, sample
 from panobench.splat.kernel_options import JIT, PARALLEL
 
 #: Unknowns per step: translation (3), rotation (3), log gain, offset.
@@ -76,10 +76,7 @@ def _accumulate(points, jacobian, value, weight, image, code, cam, R, t, gain, o
         for lo in range(th * share, last, _BLOCK):
             hi = min(lo + _BLOCK, last)
             m = hi - lo
-            if code == 0:
-                project_panorama(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, cam[0], cam[1], u, v)
-            else:
-                project_pinhole(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, cam, u, v)
+            project(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, code, cam, u, v)
             for k in range(m):
                 e = sample(image, u[k], v[k], code) - g * value[lo + k] - off
                 a, wk = abs(e), weight[lo + k]

@@ -16,22 +16,22 @@ from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, se3_exp
 from panobench.photometric.pyramid import F32
-from panobench.photometric.warp import dot3, project_panorama, project_pinhole, sample_slope
+from panobench.photometric.warp import PER_TURN, dot3, project, sample_slope
 from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
 
 #: Runs of pixels whose sums are taken apart: the same for every number of threads, so that the sums are too.
 _BLOCKS = 16
 #: Pixels worked together.
 _TOGETHER = 128
-_PER_TURN = np.float32(0.5 / np.pi)
+#: Relative gain of an iteration below which it was the last.
+_SMALL = 1e-4
 
 
 @dataclass(frozen=True)
 class BundleOptions:
     """cell_px: one pixel, that with the largest gradient, per cell. huber, cut: residuals, in robust standard
     deviations at the start, where the cost turns linear and where a residual (an occlusion, say) stops counting;
-    sigma_min: least standard deviation assumed (of 1). depth_edge: as in alignment. small: relative gain of an
-    iteration below which it was the last.
+    sigma_min: least standard deviation assumed (of 1). depth_edge: as in alignment.
     """
 
     cell_px: int = 3
@@ -42,7 +42,6 @@ class BundleOptions:
     cut: float = 20.0
     sigma_min: float = 0.002
     depth_edge: float = 1.1
-    small: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Bundle:
 @njit(**JIT_FINITE)
 def _jacobians(points, R, t, code, cam, gx, gy, J, jd):  # type: ignore[no-untyped-def]
     """J (6, n) by the left twist and jd (n,) by the log depth, from the image's slopes (n,) at points (3, n)."""
-    a, e = cam[0] * _PER_TURN, np.float32(2) * cam[1] * _PER_TURN
+    a, e = cam[0] * PER_TURN, np.float32(2) * cam[1] * PER_TURN
     for k in range(len(gx)):
         px, py, pz = points[0, k], points[1, k], points[2, k]
         qx = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
@@ -104,10 +103,7 @@ def _residuals_of(  # type: ignore[no-untyped-def]
         m = min(lo + _TOGETHER, last) - lo
         X = points[:, lo : lo + m]
         for f in range(frames.shape[0]):
-            if code == 0:
-                project_panorama(X[0], X[1], X[2], R[f], t[f], cam[0], cam[1], u, v)
-            else:
-                project_pinhole(X[0], X[1], X[2], R[f], t[f], cam, u, v)
+            project(X[0], X[1], X[2], R[f], t[f], code, cam, u, v)
             for k in range(m):
                 seen, sx, sy = sample_slope(frames[f], u[k], v[k], code)
                 e = seen - value[lo + k]
@@ -218,7 +214,7 @@ def refine(
         T_new, s_new = renormalise(se3_exp(x.reshape(F, 6)) @ T), s + np.clip(ds, -0.3, 0.3)
         trial = linearise(T_new, s_new)
         if trial.cost < now.cost:
-            small = now.cost - trial.cost < options.small * now.cost
+            small = now.cost - trial.cost < _SMALL * now.cost
             T, s, now = T_new, s_new, trial
             damping = max(damping * 0.3, 1e-6)
             if small:

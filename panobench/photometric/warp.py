@@ -13,7 +13,7 @@ from panobench.splat.kernel_options import JIT, JIT_FINITE
 ERP, PINHOLE = 0, 1
 _PI = np.float32(np.pi)
 _HALF_PI = np.float32(np.pi / 2)
-_HALF, _PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
+_HALF, PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 
 
 def camera_code(camera: Camera) -> tuple[int, NDArray[np.float32]]:
@@ -79,8 +79,8 @@ def project_panorama(X, Y, Z, R, t, w, h, u, v):  # type: ignore[no-untyped-def]
         py = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z + t[1]
         pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
         rho = np.sqrt(px * px + pz * pz)
-        u[k] = w * (_HALF + atan2_fast(px, pz) * _PER_TURN)
-        v[k] = h * (_HALF + np.float32(2) * atan2_fast(py, rho) * _PER_TURN)
+        u[k] = w * (_HALF + atan2_fast(px, pz) * PER_TURN)
+        v[k] = h * (_HALF + np.float32(2) * atan2_fast(py, rho) * PER_TURN)
 
 
 @njit(**JIT)
@@ -97,6 +97,15 @@ def project_pinhole(X, Y, Z, R, t, cam, u, v):  # type: ignore[no-untyped-def]
         v[k] = cam[3] * py * inv + cam[5] if front else np.float32(-1e6)
 
 
+@njit(**JIT)
+def project(X, Y, Z, R, t, code, cam, u, v):  # type: ignore[no-untyped-def]
+    """Points moved by R, t -> pixels u, v of either camera."""
+    if code == 0:
+        project_panorama(X, Y, Z, R, t, cam[0], cam[1], u, v)
+    else:
+        project_pinhole(X, Y, Z, R, t, cam, u, v)
+
+
 @njit(**JIT_FINITE)
 def dot3(a, b, c):  # type: ignore[no-untyped-def]
     """Sum of the products of three vectors."""
@@ -107,34 +116,11 @@ def dot3(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def sample(image, u, v, code):  # type: ignore[no-untyped-def]
-    """Bilinear value at (u, v); columns wrap on a panorama, rows are clamped there; NaN outside a pinhole."""
-    h, w = image.shape
-    fu, fv = u - np.float32(0.5), v - np.float32(0.5)
-    x0, y0 = int(np.floor(fu)), int(np.floor(fv))
-    a, b = fu - np.float32(x0), fv - np.float32(y0)
-    x1, y1 = x0 + 1, y0 + 1
-    if code == 0:
-        if x0 < 0:
-            x0 += w
-        elif x0 >= w:
-            x0 -= w
-        if x1 < 0:
-            x1 += w
-        elif x1 >= w:
-            x1 -= w
-        y0, y1 = min(max(y0, 0), h - 1), min(max(y1, 0), h - 1)
-        x0, x1 = min(max(x0, 0), w - 1), min(max(x1, 0), w - 1)
-    elif x0 < 0 or y0 < 0 or x1 >= w or y1 >= h:
-        return np.float32(np.nan)
-    top = image[y0, x0] + a * (image[y0, x1] - image[y0, x0])
-    bottom = image[y1, x0] + a * (image[y1, x1] - image[y1, x0])
-    return top + b * (bottom - top)
-
-
-@njit(**JIT)
 def sample_slope(image, u, v, code):  # type: ignore[no-untyped-def]
-    """``sample`` and the derivatives of what it interpolates by u and v, from the same four pixels."""
+    """Bilinear value at (u, v) and its derivatives by u and v, from the same four pixels.
+
+    Columns wrap on a panorama, rows are clamped there; NaN outside a pinhole.
+    """
     h, w = image.shape
     fu, fv = u - np.float32(0.5), v - np.float32(0.5)
     x0, y0 = int(np.floor(fu)), int(np.floor(fv))
@@ -157,3 +143,9 @@ def sample_slope(image, u, v, code):  # type: ignore[no-untyped-def]
     left, right = image[y0, x1] - image[y0, x0], image[y1, x1] - image[y1, x0]
     top, bottom = image[y0, x0] + a * left, image[y1, x0] + a * right
     return top + b * (bottom - top), left + b * (right - left), bottom - top
+
+
+@njit(**JIT)
+def sample(image, u, v, code):  # type: ignore[no-untyped-def]
+    """The value alone of ``sample_slope``."""
+    return sample_slope(image, u, v, code)[0]

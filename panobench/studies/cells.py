@@ -121,7 +121,14 @@ def median(
     results: dict[str, Stored], cells: Sequence[Cell], key: str, scale: float = 1.0, *, higher_is_better: bool = False
 ) -> float | str | None:
     """Over the cells (the repeats of one row on one sequence): "/" when failures decide it, None if not measured."""
-    summary = summarise(values(results, cells, key), higher_is_better=higher_is_better)
+    return middle(values(results, cells, key), scale, higher_is_better=higher_is_better)
+
+
+def middle(
+    numbers: Sequence[float | None], scale: float = 1.0, *, higher_is_better: bool = False
+) -> float | str | None:
+    """Median of figures, None being a failure: "/" when failures decide it, None without any figure."""
+    summary = summarise(numbers, higher_is_better=higher_is_better)
     if summary is None:
         return None
     return summary.median * scale if math.isfinite(summary.median) else FAILED

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass
 from typing import Any
 
 from panobench.bench.cells import Cell
-from panobench.bench.statistics import summarise
 from panobench.bench.store import Stored
 from panobench.errors import DatasetError, UsageError
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED
 from panobench.studies import basin
 from panobench.studies.base import StudyRequest, StudyResult
-from panobench.studies.cells import FAILED, QUICK, RunOptions, reasons, run_cells
+from panobench.studies.cells import FAILED, QUICK, RunOptions, middle, reasons, run_cells
 from panobench.types import RunStatus
 
 #: Row -> disturbance of the stream (``panobench.datasets.disturb``), "" for none, or "every=N": frames skipped.
@@ -185,10 +183,7 @@ def _median(values: list[float | str | None], *, higher_is_better: bool = False)
     """Over the seeds, a lost run being worse than any number; None if it was not measured."""
     if any(v is None for v in values):
         return None
-    summary = summarise([None if v == FAILED else float(v) for v in values], higher_is_better=higher_is_better)  # type: ignore[arg-type]
-    if summary is None:
-        return None
-    return summary.median if math.isfinite(summary.median) else FAILED
+    return middle([None if v == FAILED else float(v) for v in values], higher_is_better=higher_is_better)  # type: ignore[arg-type]
 
 
 def _figure(rows: list[dict[str, Any]], options: RobustnessOptions) -> dict[str, Any]:

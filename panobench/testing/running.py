@@ -47,6 +47,7 @@ def make_method(spec: MethodSpec, preset: str | None = None, **options: Any) -> 
     return cls(config(**{**(spec.presets[preset] if preset else {}), **options}))  # type: ignore[no-any-return]
 
 
+@one_blas_thread()
 def run_method(
     method: OnlineMethod | BatchMethod,
     sequence: Sequence,
@@ -73,18 +74,6 @@ def run_method(
     poses = None if truth is None else dict(enumerate(truth.T_wc))
     imu = sequence.imu if "imu" in needs else None
     context = MethodContext(seed=seed, work=work, make_depth=make_depth, imu=imu, poses=poses, log=log.append)
-    with one_blas_thread():
-        return _run(method, sequence, context, needs, idle_s, log)
-
-
-def _run(
-    method: OnlineMethod | BatchMethod,
-    sequence: Sequence,
-    context: MethodContext,
-    needs: tuple[str, ...],
-    idle_s: float,
-    log: list[str],
-) -> MethodRun:
     if isinstance(method, BatchMethod):
         blind = BlindSequence(sequence, imu="imu" in needs)
         method.set_up(blind, context)

@@ -59,7 +59,7 @@ class Backend:
     def add(self, index: int, luma: F32) -> None:
         """A frame by its index in the sequence, luma (h, w) at the working size."""
         self.frames.append(_Frame(index, luma))
-        old = min(self._next - REACH, len(self.frames) - 1 - 2 * REACH - EVERY)
+        old = len(self.frames) - 1 - 2 * REACH - EVERY
         if old > REACH + 1:  # the very first are wanted again if frames before them are (``turn``)
             self.frames[old - 1].luma = None
 

@@ -140,9 +140,10 @@ class PanogsMethod(OnlineMethod):
         out = self.renderer.forward(self.mapper.map, view.T_wc, count_touched=True)
         view.touched = out.touched
         self.mapper.add_keyframe(view, [view])
+        levels = self.tracker.frame_pyramid(view.image)
         if self.config.adjust:
-            self.backend.add(first.index, self.tracker.frame_pyramid(view.image)[self.recent.fine.level])
-        self.places.add(self.places.thumbnail(self.tracker.frame_pyramid(view.image)[-1]))
+            self.backend.add(first.index, levels[self.recent.fine.level])
+        self.places.add(self.places.thumbnail(levels[-1]))
         self.mapper.optimise(self.config.initial_iterations, poses=False)
         self.tracker.reset(view.T_wc)
         self.records[first.index] = _Record(first.time, view, np.eye(4))
