@@ -26,7 +26,7 @@ class AlignOptions:
     neighbours span a larger ratio of depths (at full size) are left out. latitude_limit_deg: rows nearer the poles are
     left out (alignment in (u, v) is ill-suited there).
     step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
-    turn_only: keep the start's translation.
+    turn_only: keep the start's translation. pixels: of a level's, about how many are used at most, evenly spread.
     """
 
     iterations: tuple[int, ...] = (12, 8, 6, 5)
@@ -43,6 +43,7 @@ class AlignOptions:
     exposure: bool = False
     gradient_min: float = 2e-3
     turn_only: bool = False
+    pixels: int | None = None
 
 
 #: The options when none are given.
@@ -101,13 +102,17 @@ def _pixel_angles(code, cam, w, h):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def _select_row(  # type: ignore[no-untyped-def]
-    y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, points, jacobian, value, weight, n, fill
+    y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, keep, points, jacobian, value, weight, n, fill
 ):
-    """Selected pixels of row y, written from index n on if ``fill``; returns the new count."""
+    """Selected pixels of row y, written from index n on if ``fill``; returns the new count.
+
+    One in ``keep`` is looked at, in a slanted pattern, which no line of the image can miss.
+    """
     w = image.shape[1]
     if code == 0 and abs(angles[2, y]) > sin_limit:
         return n
-    for x in range(w):
+    slant = int(0.382 * keep) | 1
+    for x in range((-slant * y) % keep, w, keep):
         d = depth[y, x]
         if not d > 0:
             continue
@@ -152,14 +157,14 @@ def _select_row(  # type: ignore[no-untyped-def]
 
 
 @njit(**PARALLEL)
-def _select(image, depth, code, cam, sin_limit, gradient_min, edge):  # type: ignore[no-untyped-def]
+def _select(image, depth, code, cam, sin_limit, gradient_min, edge, keep):  # type: ignore[no-untyped-def]
     h = image.shape[0]
     angles = _pixel_angles(code, cam, image.shape[1], h)
     counts = np.zeros(h + 1, np.int64)
     e2, e1 = np.empty((0, 0), np.float32), np.empty(0, np.float32)
     for y in prange(1, h - 1):
         counts[y + 1] = _select_row(
-            y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, e2, e2, e1, e1, 0, False
+            y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, keep, e2, e2, e1, e1, 0, False
         )
     for y in range(h):
         counts[y + 1] += counts[y]
@@ -168,7 +173,7 @@ def _select(image, depth, code, cam, sin_limit, gradient_min, edge):  # type: ig
     value, weight = np.empty(n, np.float32), np.empty(n, np.float32)
     for y in prange(1, h - 1):
         _select_row(
-            y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, points, jacobian, value, weight,
+            y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, keep, points, jacobian, value, weight,
             counts[y], True,
         )  # fmt: skip
     return points, jacobian, value, weight
@@ -202,8 +207,10 @@ def make_reference(camera: Camera, luma: F32, depth: F32, levels: int, options: 
         if level:
             luma, depth = halve(luma), _halve_depth(depth, 1.3)
         parameters = halved(cam, level)
+        keep = 1 if options.pixels is None else max(round(luma.size / options.pixels), 1)
         points, jacobian, value, weight = _select(
-            luma, depth, code, parameters, sin_limit, options.gradient_min, 1 + (options.depth_edge - 1) * 2**level
-        )
+            luma, depth, code, parameters, sin_limit, options.gradient_min, 1 + (options.depth_edge - 1) * 2**level,
+            keep,
+        )  # fmt: skip
         out.append(ReferenceLevel(points, jacobian, value, weight, parameters))
     return Reference(out, code)

@@ -72,3 +72,18 @@ def photometric_loss(
     _robust_l1(planes, image, weights, gain, offset, knee, gradient, sums)
     loss, d_gain, d_offset = sums.sum(axis=0)
     return float(loss), gradient, (float(d_gain), float(d_offset))
+
+
+@njit(**PARALLEL)
+def colour_error(planes, image):  # type: ignore[no-untyped-def]
+    """(H, W): mean over the colours of |render - image|, of 1, for a render (3, H, W) and an RGB image (H, W, 3)."""
+    h, w = image.shape[0], image.shape[1]
+    out = np.empty((h, w), np.float32)
+    scale = np.float32(1 / 255)
+    for y in prange(h):
+        for x in range(w):
+            total = np.float32(0)
+            for c in range(3):
+                total += abs(planes[c, y, x] - scale * image[y, x, c])
+            out[y, x] = total * np.float32(1 / 3)
+    return out

@@ -19,6 +19,8 @@ from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.kernel_options import PACK, TILE_H, TILE_W
 from panobench.splat.view import CONIC_ERP, Projection, View, make_view
 
+#: Columns of the moments that belong to the colours.
+_COLOURS = slice(8, 11)
 _NO_2D = np.zeros((0, 0), np.float32)
 
 
@@ -206,6 +208,12 @@ class Renderer:
             back.R_cw, back.t_cw, v.projection, v.intrinsics, v.pixel_angle, self.low_pass, packed, pose,
         )  # fmt: skip
         return Gradients(packed, pose.sum(axis=0))
+
+    def weighted_sums(self, planes: F32) -> F32:
+        """(N, 3): for each Gaussian of the last ``forward`` the sums of ``planes`` (3, H, W) over the pixels it
+        colours, times what it contributes there (colours blend linearly: these are gradients by the colours).
+        """
+        return np.asarray(self.moments(planes).moments[:, :, _COLOURS].sum(axis=0))
 
     def moments(self, d_planes: F32, d_depth: F32 | None = None, d_opacity: F32 | None = None) -> Backward:
         """The pixels' half of the backward pass: dL/d(planes) (3, H, W) -> moment sums per Gaussian."""

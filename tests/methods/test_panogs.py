@@ -148,7 +148,8 @@ def test_seeded_discs_lie_in_the_wall_and_reproduce_the_image() -> None:
     camera = ErpCamera(128, 64)
     rays = camera.rays()
     depth = (1.0 / np.abs(rays).max(axis=-1)).astype(np.float32)  # a cube of half width 1
-    normals = surface_normals(camera, depth)
+    y, x = np.indices(depth.shape).reshape(2, -1)
+    normals = surface_normals(camera, depth, x, y).reshape(64, 128, 3)
     inner = np.abs(rays).max(axis=-1) > 0.8
     assert np.median(np.abs(normals).max(axis=-1)[inner]) > 0.99
     image = np.zeros((64, 128, 3), np.uint8)

@@ -24,6 +24,8 @@ Pose = NDArray[np.float64]
 OPTIONS = BundleOptions(cell_px=8, iterations=5, cut=5.0)
 #: A reference every so many frames that moved, and how many frames on either side it is compared with.
 EVERY, REACH = 8, 24
+#: Frames a window may wait for other work.
+LATE = 4
 #: Frames whose poses a fit may change; windows before them are forgotten.
 FREE = 96
 #: What a pose from the map is trusted by: translation over the scene's depth, and radians.
@@ -59,7 +61,7 @@ class Backend:
     def add(self, index: int, luma: F32) -> None:
         """A frame by its index in the sequence, luma (h, w) at the working size."""
         self.frames.append(_Frame(index, luma))
-        old = len(self.frames) - 1 - 2 * REACH - EVERY
+        old = len(self.frames) - 1 - 2 * REACH - EVERY - LATE
         if old > REACH + 1:  # the very first are wanted again if frames before them are (``turn``)
             self.frames[old - 1].luma = None
 
@@ -75,6 +77,10 @@ class Backend:
         if self._next < len(self.frames) - (1 if at_the_end else REACH):
             return self.frames[self._next].index
         return None
+
+    def overdue(self) -> bool:
+        """The window that is due has been for ``LATE`` frames."""
+        return self._next < len(self.frames) - REACH - LATE
 
     def adjust(self, pose: Callable[[int], Pose], depth: F32) -> None:
         """The window of the frame that is due; ``depth`` (H, W), radial, NaN where unknown; pose: index -> T_wc."""

@@ -17,6 +17,7 @@ class PanogsConfig:
     solver: Literal["gauss-newton", "adam"] = "gauss-newton"
     tracking_iterations: int = 15  # of solver "adam"
     tracking_renders: int = 2
+    tracking_pixels: int = 16384  # of every level of the pyramid that are aligned, evenly spread
     exposure: bool = False  # gain and offset are unknowns of every alignment
     match_exposure: bool = True  # frames are brought to the map's exposure if theirs differs plainly
     relocalise: bool = True  # a frame the map does not explain gets no pose until it is found again
@@ -41,14 +42,14 @@ class PanogsConfig:
     guess_share: float = 0.2  # unknown share of a narrow view above which the nearest depth is taken at once
     smooth: bool = True  # refine the poses of the last frames jointly with depth, behind the tracker
     adjust: bool = True  # fit the trajectory to windows of bundle adjustment over all frames
-    sweep_confidence: float = 0.4
+    sweep_confidence: float = 0.2
     carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong
     depth_guided: bool = True  # False: the "w/o DGIS" ablation
     flatten: float = 0.15
     scale_factor: float = 0.55
     initial_opacity: float = 0.9
     # Mapping
-    mapping_iterations: int = 12
+    mapping_iterations: int = 8
     steps_per_frame: int = 4  # mapping steps are spread over frames, about so many each; 0: all at the keyframe
     initial_iterations: int = 40
     random_views: int = 2
@@ -65,7 +66,7 @@ class PanogsConfig:
     opacity_rate: float = 0.1
     colour_rate: float = 0.02
     loss_knee: float = 0.05
-    adam_beta1: float = 0.9
+    adam_beta1: float = 0.8
     adam_beta2: float = 0.99
     isotropy: float = 0.0
     densify: bool = True  # seeds follow the detail of the image, and discs too coarse for it are split
@@ -107,6 +108,7 @@ PAPER: dict[str, Any] = {
     "opacity_rate": 0.05,
     "colour_rate": 2.5e-3,
     "loss_knee": 0.0,
+    "adam_beta1": 0.9,
     "adam_beta2": 0.999,
     "isotropy": 10.0,
 }

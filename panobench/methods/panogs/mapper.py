@@ -16,7 +16,7 @@ from panobench.methods.panogs.surface import fill_depth, seed_gaussians
 from panobench.methods.panogs.views import View
 from panobench.splat.adam import GaussianAdam, LearningRates
 from panobench.splat.gaussians import F32, GaussianMap
-from panobench.splat.loss import photometric_loss, pixel_weights
+from panobench.splat.loss import colour_error, photometric_loss, pixel_weights
 from panobench.splat.render import Renderer, RenderOutput
 
 #: Of the swept depth: anything nearer is taken to stand in front of the surface.
@@ -100,8 +100,7 @@ class Mapper:
         distance = np.linalg.norm(self.map.means - view.position, axis=1)
         known = wrong & np.isfinite(swept)
         shares = np.stack([known, self.weights > 0, np.where(known, swept, 0)]).astype(np.float32)
-        # Colours blend linearly, so these gradients are the sums of each Gaussian's blending weights.
-        there, anywhere, deep = self.renderer.backward(shares, planar=True).colours.T
+        there, anywhere, deep = self.renderer.weighted_sums(shares).T
         behind = deep / np.maximum(there, 1e-6)
         return self.drop((there > _CARVE_SHARE * anywhere) & (there > 1e-3) & (distance < _CARVE_BEFORE * behind))
 
@@ -151,7 +150,7 @@ class Mapper:
     @staticmethod
     def _error(view: View, render: RenderOutput) -> F32:
         """(H, W): mean absolute difference of render and image over the colours, of 1."""
-        return np.asarray(np.abs(render.colour - view.image / np.float32(255)).mean(axis=-1))
+        return np.asarray(colour_error(render.planes, view.image))
 
     def append(self, new: GaussianMap, born: NDArray[np.int32]) -> None:
         """Gaussians with a fresh optimiser; ``born`` (N,): how many keyframes there were when they came."""
@@ -198,9 +197,10 @@ class Mapper:
         schedule = self._schedule(iterations)
         return float(np.mean([self.step(view, refine_pose=poses) for view in schedule])) if schedule else 0.0
 
-    def plan(self, iterations: int) -> None:
-        """So many steps more for ``work``, on the views as they are now."""
-        self.todo.extend(self._schedule(iterations))
+    def plan(self, iterations: int, *, first: bool = False) -> None:
+        """So many steps more for ``work``, on the views as they are now; ``first``: before those planned earlier."""
+        steps = self._schedule(iterations)
+        (self.todo.extendleft if first else self.todo.extend)(steps[::-1] if first else steps)
 
     def work(self, steps: int) -> None:
         """Do about ``steps`` of the planned steps, more when they pile up; prune when the last one is done."""

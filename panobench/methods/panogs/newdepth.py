@@ -88,12 +88,14 @@ class NewDepth:
         small = cv2.resize(mapped, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
         with np.errstate(invalid="ignore"):
             other = np.abs(np.log(small / swept.depth)) > OTHER_DEPTH
-            better = self._error(swept, swept.depth) < BETTER_SHARE * self._error(swept, small) - BETTER_MARGIN
+            rivals = (np.where(other, depth, np.float32(np.nan)) for depth in (swept.depth, small))
+            new, old = (self._error(swept, depth) for depth in rivals)
+            better = new < BETTER_SHARE * old - BETTER_MARGIN
         full = cv2.resize((other & better).view(np.uint8), (self.camera.width, self.camera.height), interpolation=0)
         return np.asarray(full > 0)
 
     def _error(self, swept: Swept, depth: F32) -> F32:
-        """Mean reprojection error around each pixel if its depth were ``depth`` (h, w)."""
+        """Mean reprojection error around each pixel if its depth were ``depth`` (h, w), of those where it is known."""
         s, out = self.scale, np.empty(depth.shape, np.float32)
         T = swept.T_fr.astype(np.float32)
         R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import WorkingScale
+from panobench.types import Frame
 
 #: Working widths of sweeps and of pose refinement.
 SWEEP_WIDTH = 256
@@ -21,12 +22,15 @@ STEP_MIN = 0.008
 
 @dataclass
 class RecentFrame:
-    """A tracked frame: its number, image (H, W, 3), and luma (h, w) at the sweep's and at the smoother's size."""
+    """A tracked frame: its number, image (H, W, 3), luma (h, w) at the sweep's and at the smoother's size, and whether
+    the map may see it.
+    """
 
     index: int
     image: NDArray[np.uint8]
     luma: F32
     fine: F32
+    mappable: bool = True
 
 
 class RecentFrames:
@@ -42,7 +46,7 @@ class RecentFrames:
         return len(self._frames)
 
     def add(
-        self, index: int, image: NDArray[np.uint8], pyramid: list[F32], position: NDArray[np.float64], depth: float
+        self, frame: Frame, pyramid: list[F32], position: NDArray[np.float64], depth: float
     ) -> RecentFrame | None:
         """Remember a tracked frame unless it hardly moved; ``depth``: the scene's, in the unit of ``position``."""
         if np.linalg.norm(position - self._last) < STEP_MIN * depth:
@@ -51,7 +55,7 @@ class RecentFrames:
         if luma.shape != self.scale.valid.shape:
             return None
         self._last = position
-        self._frames.append(RecentFrame(index, image, luma, fine))
+        self._frames.append(RecentFrame(frame.index, frame.image, luma, fine, frame.mappable))
         return self._frames[-1]
 
     def clear(self) -> None:
@@ -64,6 +68,19 @@ class RecentFrames:
         return self._frames[-1 - delay]
 
     def split(self, delay: int) -> tuple[RecentFrame, list[RecentFrame]] | None:
-        """The frame ``delay`` before the newest, and those after it; None while there are too few."""
+        """The frame ``delay`` before the newest, or the first after it that may be mapped, and those after that.
+
+        None while there are too few.
+        """
         frames = list(self._frames)[-1 - delay :]
-        return (frames[0], frames[1:]) if len(frames) > delay else None
+        if len(frames) <= delay:
+            return None
+        first = next((k for k, f in enumerate(frames) if f.mappable), delay)
+        return (frames[first], frames[first + 1 :]) if first < delay else None
+
+    def until_mappable(self) -> list[RecentFrame]:
+        """All frames up to the last that may be mapped."""
+        frames = list(self._frames)
+        while frames and not frames[-1].mappable:
+            frames.pop()
+        return frames

@@ -43,8 +43,7 @@ def too_coarse(
     error (H, W): absolute colour error, 0 where the image has nothing to say.
     """
     seen = np.stack([error, (error > 0).astype(np.float32), np.zeros_like(error)])
-    # Colours blend linearly, so these gradients are the sums of each Gaussian's blending weights.
-    wrong, weight, _ = renderer.backward(seen, planar=True).colours.T
+    wrong, weight, _ = renderer.weighted_sums(seen).T
     distance = np.linalg.norm(gaussians.means - position.astype(np.float32), axis=1)
     size = np.exp(gaussians.log_scales.max(axis=1)) / np.maximum(distance, 1e-6) / renderer.view.pixel_angle
     chosen = np.flatnonzero((weight > _SEEN_MIN) & (wrong > rule.error * weight) & (size > rule.size_px))

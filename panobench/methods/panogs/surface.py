@@ -17,18 +17,17 @@ from panobench.splat.gaussians import F32, GaussianMap
 MAX_STRETCH = 3.0
 
 
-def surface_normals(camera: Camera, depth: F32) -> NDArray[np.float64]:
-    """Unit normals (H, W, 3) in the camera frame facing the camera, by central differences of the points.
+def surface_normals(camera: Camera, depth: F32, x: NDArray[np.intp], y: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Unit normals (M, 3) in the camera frame, facing the camera, at pixels x, y (M,): differences of the points.
 
     Where a neighbour is missing or lies across a depth edge (over 10% apart) the one-sided difference is used,
     else the viewing direction. Panoramas wrap.
     """
-    points = camera.rays() * depth[..., None].astype(np.float64)
-    du = _tangent(points, depth, axis=1, wrap=camera.kind == "erp")
-    dv = _tangent(points, depth, axis=0, wrap=False)
+    du = _tangent(camera, depth, x, y, 1, 0)
+    dv = _tangent(camera, depth, x, y, 0, 1)
     normal = np.cross(dv, du)
     norm = np.linalg.norm(normal, axis=-1, keepdims=True)
-    view = -camera.rays()
+    view = -camera.rays()[y, x]
     with np.errstate(invalid="ignore", divide="ignore"):
         normal = np.where(norm > 1e-12, normal / norm, view)
     normal = np.where(np.isfinite(normal), normal, view)
@@ -36,23 +35,25 @@ def surface_normals(camera: Camera, depth: F32) -> NDArray[np.float64]:
     return np.asarray(np.where(flip, -normal, normal))
 
 
-def _tangent(points: NDArray[np.float64], depth: F32, axis: int, wrap: bool) -> NDArray[np.float64]:
-    def shift(a: NDArray[np.float64], by: int) -> NDArray[np.float64]:
-        moved = np.roll(a, by, axis=axis)
-        if not wrap:
-            edge = [slice(None)] * a.ndim
-            edge[axis] = slice(0, 1) if by > 0 else slice(-1, None)
-            moved[tuple(edge)] = np.nan
-        return moved
-
-    before, after = shift(points, 1), shift(points, -1)
-    d = depth.astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        ok_b = np.abs(shift(d, 1) / d - 1) < 0.1
-        ok_a = np.abs(shift(d, -1) / d - 1) < 0.1
-    lo = np.where(ok_b[..., None], before, points)
-    hi = np.where(ok_a[..., None], after, points)
-    return np.asarray(hi - lo)
+def _tangent(
+    camera: Camera, depth: F32, x: NDArray[np.intp], y: NDArray[np.intp], dx: int, dy: int
+) -> NDArray[np.float64]:
+    """From the point of the pixel before to that of the one after, in steps of (dx, dy), or one of them to its own."""
+    here = depth[y, x].astype(np.float64)
+    point = camera.rays()[y, x] * here[:, None]
+    ends = []
+    for side in (-1, 1):
+        u, v = x + side * dx, y + side * dy
+        inside = (v >= 0) & (v < camera.height)
+        if camera.kind == "erp":
+            u = u % camera.width
+        else:
+            inside &= (u >= 0) & (u < camera.width)
+        u, v = np.clip(u, 0, camera.width - 1), np.clip(v, 0, camera.height - 1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            same = inside & (np.abs(depth[v, u] / here - 1) < 0.1)
+        ends.append(np.where(same[:, None], camera.rays()[v, u] * depth[v, u, None].astype(np.float64), point))
+    return np.asarray(ends[1] - ends[0])
 
 
 def equal_area_pixels(camera: Camera, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -111,7 +112,7 @@ def seed_gaussians(
     x, y, d, pixels = x[keep], y[keep], d[keep], pixels[keep]
     spacing = np.broadcast_to(spacing_rad, keep.shape)[keep]
     rays = camera.unproject(pixels)
-    normals = surface_normals(camera, depth)[y, x]
+    normals = surface_normals(camera, depth, x, y)
     # The seed lies off the pixel centre: slide the depth along the tangent plane through the centre's point.
     centre = camera.rays()[y, x]
     denominator = np.sum(rays * normals, axis=1)

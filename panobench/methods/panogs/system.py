@@ -20,23 +20,18 @@ from panobench.methods.panogs.dormant import Dormant, anchors_of
 from panobench.methods.panogs.exposure import ExposureGuard
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
 from panobench.methods.panogs.loops import DRIFT_MIN, LoopCloser, carry_out, move_gaussians
+from panobench.methods.panogs.lookback import LookBack
 from panobench.methods.panogs.mapper import Mapper
-from panobench.methods.panogs.newdepth import NewDepth, Swept
 from panobench.methods.panogs.places import Places, Thumbnail
-from panobench.methods.panogs.recent import RecentFrame, RecentFrames
 from panobench.methods.panogs.relocalise import Relocaliser
-from panobench.methods.panogs.smoothing import Smoother
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
-from panobench.photometric.overlap import ViewShare
 from panobench.splat.render import Renderer, RenderOutput
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
 #: Standard deviation, in 8-bit levels, below which a frame shows nothing.
 BLANK_LEVELS = 1.0
-#: Solid angle below which a view is narrow: what enters it soon fills it.
-NARROW = 2 * np.pi
 
 
 @dataclass
@@ -69,13 +64,10 @@ class PanogsMethod(OnlineMethod):
         self.estimator = context.make_depth() if context.make_depth else None
         if self.estimator:
             self.estimator.start(camera, context.seed)
-        self.recent = RecentFrames(camera, self.config.delay + 1)
-        self.smoother = Smoother(self.recent.fine)
+        self.look_back = LookBack(camera, self.config, self.mapper)
+        self.recent = self.look_back.recent
         self.backend = Backend(self.recent.fine)
-        self.new_depth = NewDepth(camera, self.recent.scale)
-        self.view_share = ViewShare(camera)
-        self.narrow = self.view_share.steradians < NARROW
-        self.exposure = ExposureGuard(self.mapper.weights, not self.narrow)
+        self.exposure = ExposureGuard(self.mapper.weights, not self.look_back.narrow)
         self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places)
         self.closer = LoopCloser(self.tracker, self.places, self.relocaliser.descend)
@@ -170,8 +162,16 @@ class PanogsMethod(OnlineMethod):
             self._process(frame)
             if had is not None:
                 self.records.setdefault(frame.index, had)
-        self.mapper.work(len(self.mapper.todo))
+        self._end()
+
+    def _end(self) -> None:
+        """What is left to do once no frame follows."""
+        look = self.look_back
+        look.settle(self._pose, self._move)
         self._adjust(at_the_end=True)
+        look.sweep_last(self._pose, self.mapper.median_depth)
+        look.settle(self._pose, self._move)
+        self.mapper.work(len(self.mapper.todo))
 
     def _process(self, frame: Frame, hint: NDArray[np.float64] | None = None) -> None:
         began = time.perf_counter()
@@ -189,7 +189,7 @@ class PanogsMethod(OnlineMethod):
         given, frame = frame, self._exposed(frame, tracked.render)
         if frame is not given:
             self.tracker.pyramid = self.tracker.frame_pyramid(frame.image)
-        moved = self.recent.add(frame.index, frame.image, self.tracker.pyramid, tracked.T_wc[:3, 3], depth)
+        moved = self.recent.add(frame, self.tracker.pyramid, tracked.T_wc[:3, 3], depth)
         if moved and self.config.adjust:
             self.backend.add(frame.index, moved.fine)
         anchor = self.mapper.window[0]
@@ -204,7 +204,7 @@ class PanogsMethod(OnlineMethod):
         if frame.mappable:
             keyframe = self._map(frame, tracked)
             numbers["keyframe"] = float(keyframe)
-        self._adjust()
+        self._behind(depth)
         self.mapper.work(self.config.steps_per_frame or len(self.mapper.todo))
         self.tracker.reset(self._pose(frame.index), self.tracker.velocity)
         numbers["mapping_s"] = time.perf_counter() - began - numbers["tracking_s"]
@@ -219,8 +219,7 @@ class PanogsMethod(OnlineMethod):
         view = View(frame.index, frame.image, tracked.T_wc, touched=seen)
         unknown = m.thin(tracked.render) | m.wrong(view, tracked.render)
         new_share = float(m.weights[unknown].sum())
-        local = m.local_depth(tracked.render)
-        distance = float(np.linalg.norm(view.position - last.position)) / local
+        distance = float(np.linalg.norm(view.position - last.position)) / m.local_depth(tracked.render)
         self.numbers.setdefault(frame.index, {})["new_share"] = new_share
         if not is_keyframe(
             self.config, seen > 0, last_seen > 0, distance, abs(frame.index - last.index),
@@ -236,16 +235,38 @@ class PanogsMethod(OnlineMethod):
         self.places.add(thumbnail)
         record = self.records[frame.index]
         record.anchor, record.relative = view, np.eye(4)
-        self._look_back(local)
-        if not self.config.sweep or (self.narrow and new_share > self.config.guess_share):
+        self.look_back.due = True
+        m.plan(self.config.mapping_iterations)
+        if not self.config.sweep or (self.look_back.narrow and new_share > self.config.guess_share):
             m.insert(view, tracked.render)
-        grown = max(len(m.map) - before, 0) / m.count
-        m.plan(round(self.config.mapping_iterations * (1.0 + min(4.0 * grown, 1.0))))
-        if new_share > self.config.sweep_share:  # what is new must be drawn well before the next frame is tracked on it
-            m.work(len(m.todo))
+            self._draw_new(before, at_once=True)
         if self.config.loop and self.places.turns:
             self.tracker.velocity[:3, 3] *= self._close_loop(view, thumbnail)
         return True
+
+    def _draw_new(self, before: int, *, at_once: bool) -> None:
+        """Steps for what the map has more than the ``before`` Gaussians: the next frames will be tracked on it."""
+        m = self.mapper
+        grown = max(len(m.map) - before, 0) / m.count
+        m.plan(round(self.config.mapping_iterations * min(4.0 * grown, 1.0)), first=True)
+        if at_once:
+            m.work(len(m.todo))
+
+    def _behind(self, depth: float) -> None:
+        """Work behind the tracker: of its three longer jobs one a frame, so that none waits for two. depth: of the scene.
+
+        Windows may wait for the others, but not for long.
+        """
+        look, before = self.look_back, len(self.mapper.map)
+        if look.waiting:
+            look.settle(self._pose, self._move)
+            self._draw_new(before, at_once=False)
+        elif look.due:
+            look.sweep(self._pose, depth)
+        elif self.backend.due() is not None:
+            self._adjust()
+        if self.backend.overdue():
+            self._adjust()
 
     def _close_loop(self, view: View, thumbnail: Thumbnail) -> float:
         """Look for a loop at the newest keyframe and close it; returns by how much the scale there changed."""
@@ -268,54 +289,6 @@ class PanogsMethod(OnlineMethod):
         self.numbers[view.index]["loop"] = loop.size
         self.context.log(f"frame {view.index}: loop to frame {m.keyframes[loop.old].index}, drift {loop.size:.4f}")
         return scale
-
-    def _look_back(self, depth: float) -> None:
-        """Where a frame some way back saw things new: refine the poses since, and give the new its Gaussians.
-
-        Elsewhere the map has the last word: frames aligned to one map do not drift. ``depth``: the scene's, now.
-        """
-        m, c, back = self.mapper, self.config, self.recent.split(self._delay(depth))
-        if back is None or not (c.smooth or c.sweep):
-            return
-        target, others = back
-        view = View(target.index, target.image, self._pose(target.index))
-        render = m.renderer.forward(m.map, view.T_wc, sloped=True)
-        mapped = render.expected_depth(0.5)
-        if float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) <= c.sweep_share:
-            self.smoother.keep(others)
-            return
-        swept = self._sweep(view, back, depth)
-        if swept is not None and c.smooth:
-            scale = self.new_depth.map_over_swept(swept, mapped)
-            self._move(self.smoother.refine(target, others, self._pose, swept.depth, scale))
-            swept = swept.again(self._seen_from(view, others))
-        if swept is not None and c.sweep:
-            disproved = self.new_depth.disproved(swept, mapped)
-            m.insert(view, render, self.new_depth.full_size(swept, c.sweep_confidence), disproved)
-
-    def _delay(self, depth: float) -> int:
-        """Frames to look back: as many as still show most of what the newest sees, which on a full panorama is all.
-
-        depth: the scene's, now.
-        """
-        c = self.config
-        if not self.narrow or len(self.recent) < c.delay_min + 1:
-            return c.delay
-        newest = self.recent.before(0)
-        for delay in range(min(c.delay, len(self.recent) - 1), c.delay_min, -1):
-            target = self.recent.before(delay)
-            T = invert_pose(self._pose(newest.index)) @ self._pose(target.index)
-            if self.view_share.of(T, depth) >= c.delay_share:
-                return delay
-        return c.delay_min
-
-    def _sweep(self, view: View, back: tuple[RecentFrame, list[RecentFrame]], depth: float) -> Swept | None:
-        """Sweep for ``view`` with the current poses, from a tenth of to 15 times the scene's ``depth``."""
-        return self.new_depth.sweep(*back, self._seen_from(view, back[1]), depth)
-
-    def _seen_from(self, view: View, others: list[RecentFrame]) -> NDArray[np.float64]:
-        """T_fr (F, 4, 4) of ``others`` from ``view``, with the current poses."""
-        return np.stack([invert_pose(self._pose(f.index)) @ view.T_wc for f in others])
 
     def _adjust(self, *, at_the_end: bool = False) -> None:
         """The windows of bundle adjustment that are due, and the poses that suit all windows."""
@@ -366,8 +339,7 @@ class PanogsMethod(OnlineMethod):
             if estimate is not None:
                 self._initialise(estimate)
         self.dormant.wake(self.mapper)
-        self.mapper.work(len(self.mapper.todo))
-        self._adjust(at_the_end=True)
+        self._end()
         self._follow_back()
         self.mapper.polish(self.config.final_iterations * len(self.mapper.keyframes))
         indices = sorted(self.records)

@@ -44,7 +44,9 @@ class Tracker:
         self.camera, self.renderer, self.config = camera, renderer, config
         self.valid = camera.valid_mask()
         self.weights = pixel_weights(camera, config.loss)
-        fine = AlignOptions(exposure=config.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5)
+        fine = AlignOptions(
+            exposure=config.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5, pixels=config.tracking_pixels
+        )
         fine = watchful(camera, fine)
         self.options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
         self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
