@@ -52,7 +52,7 @@ def _turning(camera: Camera, degrees: float) -> int:
         view = View(k, np.zeros((1, 1, 3), np.uint8), T)
         method.records[k] = _Record(k / 15, view, np.eye(4))
         method.recent._frames.append(RecentFrame(k, view.image, empty, empty))
-    return method._delay(2.0)
+    return method.look_back._delay(method._pose, 2.0)
 
 
 def test_a_narrow_view_that_turns_looks_back_less_far() -> None:

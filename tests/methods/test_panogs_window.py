@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+import pytest
 
 from panobench.datasets.base import Sequence
 from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.depth.bootstrap import BootstrapDepth
 from panobench.geometry import invert_pose
+from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
 from panobench.methods.panogs.recent import RecentFrame, RecentFrames
 from panobench.methods.panogs.smoothing import Smoother
+from panobench.methods.panogs.system import PanogsMethod
 from panobench.methods.panogs.views import View
 from panobench.photometric.pyramid import luma_of_frame, pyramid
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.render import Renderer
+from panobench.types import Frame
 
 WIDTH, FRAMES = 256, 13
 
@@ -34,7 +41,7 @@ def remembered() -> tuple[RecentFrames, RecentFrame, tuple[RecentFrame, ...]]:
     for i in range(FRAMES):
         image = sequence.image(i)
         levels = pyramid(luma_of_frame(image, sequence.camera.valid_mask()))
-        recent.add(i, image, levels, np.full(3, float(i)), 1.0)
+        recent.add(Frame(i, i / 15, image), levels, np.full(3, float(i)), 1.0)
     back = recent.split(FRAMES - 1)
     assert back is not None
     return recent, back[0], tuple(back[1])
@@ -122,3 +129,62 @@ def test_carving_removes_a_veil_and_leaves_the_rest() -> None:
     dropped = mapper.carve(view, covered, depth)
     assert 2 <= dropped <= 2 + 0.02 * behind
     assert not (np.abs(mapper.map.means[:, None] - veil.means[None]).max(axis=-1) < 1e-6).any()
+
+
+def test_only_frames_that_may_be_mapped_are_looked_back_at() -> None:
+    recent = RecentFrames(room().camera, 5)
+    levels = [np.zeros((WIDTH // 2, WIDTH), np.float32)]
+    for i in range(5):
+        frame = Frame(i, i / 15, np.zeros((WIDTH // 2, WIDTH, 3), np.uint8), mappable=i not in (0, 1, 4))
+        recent.add(frame, levels, np.full(3, float(i)), 1.0)
+    back = recent.split(4)
+    assert back is not None
+    assert back[0].index == 2
+    assert [f.index for f in back[1]] == [3, 4]
+    assert [f.index for f in recent.until_mappable()] == [0, 1, 2, 3]
+    assert recent.split(5) is None
+    assert recent.split(1) is not None
+    recent.add(Frame(5, 0.4, np.zeros((WIDTH // 2, WIDTH, 3), np.uint8), mappable=False), levels, np.full(3, 9.0), 1.0)
+    assert recent.split(1) is None
+
+
+def test_the_map_never_sees_a_held_out_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: set[int] = set()
+    for name in ("_seed", "step", "split"):
+        whole = getattr(Mapper, name)
+
+        def spied(self: Mapper, view: View, *rest: Any, whole: Any = whole, **named: Any) -> Any:
+            seen.add(view.index)
+            return whole(self, view, *rest, **named)
+
+        monkeypatch.setattr(Mapper, name, spied)
+    method = PanogsMethod(PanogsConfig(mapping_iterations=2, initial_iterations=5, sweep_share=0.0, keyframe_interval=2))
+    method.start(room().camera, MethodContext(make_depth=BootstrapDepth))
+    held = set(range(2, len(room()), 3))
+    for k, frame in enumerate(room().frames()):
+        method.track(replace(frame, mappable=k not in held))
+    method.finish()
+    assert len(seen) > 10
+    assert not seen & held
+
+
+def test_what_the_last_frames_saw_new_is_drawn() -> None:
+    """A doorway passed at the very end: nobody follows who could look back at it."""
+    sequence = room()
+    method = PanogsMethod(PanogsConfig(final_iterations=0))
+    method.start(sequence.camera, MethodContext(make_depth=BootstrapDepth))
+    for frame in sequence.frames():
+        method.track(frame)
+    m, last = method.mapper, method.recent.before(0)
+    T_wc = method._pose(last.index)
+    gone = np.linalg.norm(m.map.means - (T_wc[:3, :3] @ [0.0, 0.0, 1.0] * 2 + T_wc[:3, 3]), axis=1) < 1.0
+    assert gone.any()
+    m.drop(gone)
+
+    def thin() -> float:
+        return float(m.weights[m.thin(m.renderer.forward(m.map, method._pose(last.index)))].sum())
+
+    before = thin()
+    assert before > 0.01
+    method.finish()
+    assert thin() < 0.4 * before

@@ -27,6 +27,8 @@ _CARVE_SHARE = 0.25
 _BACKLOG = 8
 #: Of the learning rates at the start of the last steps, what they are at the end.
 FINAL_RATE = 0.1
+#: Standard deviation no Gaussian grows beyond, over the scene's depth.
+LARGEST = 0.3
 
 
 class Mapper:
@@ -248,7 +250,7 @@ class Mapper:
         )
         isotropy = self.config.isotropy / max(3 * len(out.order), 1)
         z = self.median_depth
-        pose = self.adam.step_back(self.renderer, gradient, self.rates(share), isotropy, (1e-4 * z, 0.5 * z))
+        pose = self.adam.step_back(self.renderer, gradient, self.rates(share), isotropy, (1e-4 * z, LARGEST * z))
         if refine_pose and self.config.refine_poses and self.keyframes and view is not self.keyframes[0]:
             rates = (self.config.pose_rate_translation_rel * z, self.config.pose_rate_rotation)
             view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), pose, rates))
@@ -262,10 +264,13 @@ class Mapper:
         )  # fmt: skip
 
     def prune(self) -> int:
-        """Drop Gaussians that faded, grew huge or stopped being finite; returns how many."""
+        """Drop Gaussians that faded or stopped being finite; returns how many.
+
+        Large ones are held back (``LARGEST``), not dropped as MonoGS does: where a wall is plain they leave holes.
+        """
         g = self.map
         logit = np.log(self.config.prune_opacity / (1 - self.config.prune_opacity))
-        keep = (g.opacity_logits > logit) & (g.log_scales.max(axis=1) < np.log(0.3 * self.median_depth))
+        keep = g.opacity_logits > logit
         keep &= np.isfinite(g.means).all(axis=1) & np.isfinite(g.log_scales).all(axis=1)
         return self.drop(~keep)
 

@@ -87,6 +87,8 @@ class PanogsMethod(OnlineMethod):
             return None
         if self.depth is None:
             if not self.waiting:
+                if not frame.mappable:  # the map begins with a frame it may see
+                    return None
                 self.exposure.start(frame.image)
             self.waiting.append(frame)
             estimate = self.estimator.add(self._exposed(frame)) if self.estimator else self._constant_depth(frame)
