@@ -115,11 +115,11 @@ def planar_filter(depth, information, luma, rays, radius, stride, sigma_luma, si
             for c in range(3):
                 table[y, x + (3 + c) * w] = rays[y, x, c]
     for y in prange(h):
-        c = 1.0
+        shrink = 1.0
         if wrap:
-            c = max(np.cos((0.5 - (y + 0.5) / h) * np.pi), 0.1)
-        reach_x = min(int(radius / c), w // 4)
-        step_x = max(int(stride / c), 1)
+            shrink = max(np.cos((0.5 - (y + 0.5) / h) * np.pi), 0.1)
+        reach_x = min(int(radius / shrink), w // 4)
+        step_x = max(int(stride / shrink), 1)
         sums, here, u_w = np.zeros(9 * w, np.float32), table[y], np.uint64(w)
         for j in range(-radius, radius + 1, stride):
             q = y + j
@@ -128,7 +128,8 @@ def planar_filter(depth, information, luma, rays, radius, stride, sigma_luma, si
             for i in range(-(reach_x // step_x) * step_x, reach_x + 1, step_x):
                 lo, hi = max(-i, 0), min(w - i, w)
                 # Adding 2^64 - n takes n away.
-                _gather_run(np.uint64(lo), np.uint64(hi - lo), np.uint64(i), u_w, here, table[q], by_luma, by_depth, sums)
+                inside = np.uint64(hi - lo)
+                _gather_run(np.uint64(lo), inside, np.uint64(i), u_w, here, table[q], by_luma, by_depth, sums)
                 if wrap and lo > 0:
                     _gather_run(_U[0], np.uint64(lo), np.uint64(i + w), u_w, here, table[q], by_luma, by_depth, sums)
                 if wrap and hi < w:

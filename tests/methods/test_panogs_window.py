@@ -158,7 +158,8 @@ def test_the_map_never_sees_a_held_out_frame(monkeypatch: pytest.MonkeyPatch) ->
             return whole(self, view, *rest, **named)
 
         monkeypatch.setattr(Mapper, name, spied)
-    method = PanogsMethod(PanogsConfig(mapping_iterations=2, initial_iterations=5, sweep_share=0.0, keyframe_interval=2))
+    config = PanogsConfig(mapping_iterations=2, initial_iterations=5, sweep_share=0.0, keyframe_interval=2)
+    method = PanogsMethod(config)
     method.start(room().camera, MethodContext(make_depth=BootstrapDepth))
     held = set(range(2, len(room()), 3))
     for k, frame in enumerate(room().frames()):

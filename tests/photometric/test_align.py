@@ -137,3 +137,21 @@ def test_other_latitude_weights_than_the_cosine_for_the_ablation() -> None:
     flat, flat_depth = view(CAMERAS["pinhole"], np.eye(4))
     pinhole = make_reference(CAMERAS["pinhole"], flat, flat_depth, 1)
     assert reweighted(pinhole, "gaussian") is pinhole
+
+
+@pytest.mark.parametrize("name", ["erp", "pinhole"])
+def test_some_of_the_pixels_find_the_same_motion(name: str) -> None:
+    camera = ErpCamera(256, 128) if name == "erp" else PinholeCamera.from_fov(192, 100.0, 70.0)
+    T = se3_exp(np.array([0.02, -0.01, 0.015, 0.01, -0.02, 0.01]))
+    image, depth = view(camera, np.eye(4))
+    moved, _ = view(camera, invert_pose(T))
+    whole = make_reference(camera, image, depth, 4)
+    some = make_reference(camera, image, depth, 4, AlignOptions(pixels=2000))
+    sizes = [len(level.value) for level in some.levels]
+    assert sizes[0] < 2500
+    assert sizes[0] > 0.6 * 2000 * len(whole.levels[0].value) / image.size
+    assert sizes[-1] == len(whole.levels[-1].value)
+    # No row and no column is left out.
+    assert len(np.unique(np.round(some.levels[0].points[1] / np.linalg.norm(some.levels[0].points, axis=0), 4))) > 50
+    a = align(some, pyramid(moved)[:4], np.eye(4), AlignOptions(pixels=2000))
+    assert np.abs(se3_log(a.T_fr @ invert_pose(T))).max() < 2e-3

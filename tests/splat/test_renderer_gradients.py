@@ -185,3 +185,13 @@ def test_gradients_add_up() -> None:
 def test_backward_needs_a_forward() -> None:
     with pytest.raises(RuntimeError, match="forward"):
         Renderer(ErpCamera(32, 16)).backward(np.zeros((16, 32, 3), np.float32))
+
+
+def test_weighted_sums_are_the_gradients_by_the_colours() -> None:
+    g = random_scene(40, 3, "erp")
+    renderer = Renderer(CAMERAS["erp"])
+    renderer.forward(g, POSE)
+    planes = np.random.default_rng(0).normal(size=(3, 36, 72)).astype(np.float32)
+    np.testing.assert_allclose(
+        renderer.weighted_sums(planes), renderer.backward(planes, planar=True).colours, rtol=1e-5, atol=1e-6
+    )

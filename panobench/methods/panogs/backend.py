@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3, invert_pose, renormalise
+from panobench.methods.panogs.laps import Laps
 from panobench.photometric.bundle import BundleOptions, refine
-from panobench.photometric.pyramid import F32
+from panobench.photometric.pyramid import F32, halve
 from panobench.photometric.stereo import WorkingScale
 from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log_scale
 
@@ -52,8 +53,8 @@ class _Frame:
 class Backend:
     """Frames that moved are numbered in order; the images of the first and the last some are kept."""
 
-    def __init__(self, scale: WorkingScale) -> None:
-        self.scale = scale
+    def __init__(self, scale: WorkingScale, laps: Laps | None = None) -> None:
+        self.scale, self.laps = scale, laps
         self.frames: list[_Frame] = []
         self.windows: list[Window] = []
         self._next, self._turned = 0, False
@@ -98,8 +99,25 @@ class Backend:
         T_fr = np.stack([invert_pose(pose(self.frames[n].index)) @ T_wr for n in numbers])
         images = np.stack([luma for _, luma in others])
         bundle = refine(target.luma, s.rays, known, images, T_fr, s.code, s.cam, OPTIONS)
-        if bundle.ok:
-            self.windows.append(Window(k, numbers, bundle))
+        window = Window(k, numbers, bundle) if bundle.ok else None
+        if window is not None:
+            self.windows.append(window)
+        if self.laps is not None and not self._turned:
+            self.laps.add(k, self._small(target.luma), window)
+            self.laps.look(lambda n: pose(self.frames[n].index), depth, float(np.nanmedian(depth)))
+
+    def _small(self, luma: F32) -> F32:
+        assert self.laps is not None
+        while luma.shape[1] > self.laps.scale.valid.shape[1]:
+            luma = halve(luma)
+        return luma
+
+    def close(self, pose: Callable[[int], Pose], depth: float) -> Fit:
+        """What suits all windows there were, if the camera came back to where it had been; depth: the scene's."""
+        if self.laps is None or self._turned:
+            return Fit({})
+        closed = self.laps.close(lambda n: pose(self.frames[n].index), depth)
+        return Fit({self.frames[n].index: T for n, T in closed.items()})
 
     def fit(self, pose: Callable[[int], Pose], depth: float) -> Fit:
         """What suits all windows, for the last ``FREE`` frames; those before stay. depth: the scene's."""

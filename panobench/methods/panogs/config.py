@@ -42,6 +42,7 @@ class PanogsConfig:
     guess_share: float = 0.2  # unknown share of a narrow view above which the nearest depth is taken at once
     smooth: bool = True  # refine the poses of the last frames jointly with depth, behind the tracker
     adjust: bool = True  # fit the trajectory to windows of bundle adjustment over all frames
+    laps: bool = True  # places come back to tie the whole trajectory together, in the end
     sweep_confidence: float = 0.2
     carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong
     depth_guided: bool = True  # False: the "w/o DGIS" ablation
@@ -51,7 +52,7 @@ class PanogsConfig:
     # Mapping
     mapping_iterations: int = 8
     steps_per_frame: int = 4  # mapping steps are spread over frames, about so many each; 0: all at the keyframe
-    initial_iterations: int = 40
+    initial_iterations: int = 20
     random_views: int = 2
     random_from: Literal["frames", "keyframes"] = "frames"
     frame_pool: int = 300  # frames outside the window whose images are kept for mapping
@@ -74,7 +75,7 @@ class PanogsConfig:
     split_size_px: float = 1.0
     split_new: float = 0.02  # with more of the image unknown or wrong nothing is split: that is not for want of detail
     prune_opacity: float = 0.05
-    final_iterations: int = 4  # steps per keyframe at the end, on all views, with falling rates
+    final_iterations: int = 8  # steps per keyframe at the end, on all views, with falling rates
     loop: bool = False  # close loops: parts of the map long out of sight sleep, are recognised, correct the drift since
     # Depth of the first frame when the run names no estimator
     constant_depth: float = 2.0
@@ -93,6 +94,7 @@ PAPER: dict[str, Any] = {
     "sweep": False,
     "smooth": False,
     "adjust": False,
+    "laps": False,
     "solver": "adam",
     "tracking_iterations": 15,
     "mapping_iterations": 30,
@@ -112,4 +114,6 @@ PAPER: dict[str, Any] = {
     "adam_beta2": 0.999,
     "isotropy": 10.0,
 }
-PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER}
+#: For those who want the trajectory soon and a sketch of the map.
+FAST: dict[str, Any] = {"mapping_iterations": 4, "final_iterations": 2}
+PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER, "fast": FAST}

@@ -61,7 +61,7 @@ class LookBack:
         return self._found is not None
 
     def sweep(self, pose: PoseOf, depth: float) -> None:
-        """Look at the frame some way back for what it saw new, by the poses as they are. ``depth``: the scene's, now."""
+        """Look at the frame some way back for what it saw new, by the poses as they are. depth: the scene's, now."""
         self.due = False
         c, back = self.config, self.recent.split(self._delay(pose, depth))
         if back is None or not (c.smooth or c.sweep):
@@ -83,8 +83,10 @@ class LookBack:
         render = m.renderer.forward(m.map, view.T_wc)
         return float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) > self.config.sweep_share
 
-    def _find(self, target: RecentFrame, others: list[RecentFrame], pose: PoseOf, depth: float, *, refine: bool) -> None:
-        """Sweep over ``others``, or every second one if they are many, from a tenth of to 15 times the scene's depth."""
+    def _find(
+        self, target: RecentFrame, others: list[RecentFrame], pose: PoseOf, depth: float, *, refine: bool
+    ) -> None:
+        """Sweep over ``others``, or every second one of many, from a tenth of to 15 times the scene's depth."""
         used = others[::-2][::-1] if len(others) >= MANY else others
         swept = self.new_depth.sweep(target, used, _seen_from(target, used, pose), depth)
         self._found = None if swept is None else _Found(swept, used, others if refine else [])

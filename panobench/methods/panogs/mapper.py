@@ -232,16 +232,17 @@ class Mapper:
     def polish(self, iterations: int) -> None:
         """The last steps, on all views that have an image in random order, with rates that fall to ``FINAL_RATE``.
 
-        At constant rates single-view steps never settle: what one view wants the next one takes back.
+        At constant rates single-view steps never settle: what one view wants the next one takes back. Nothing is
+        tracked on the map any more, so its surface is not held.
         """
         views = [v for v in {id(v): v for v in [*self.keyframes, *self.frames]}.values() if v.image.size]
         order = [int(i) for _ in range(iterations // max(len(views), 1) + 1) for i in self.rng.permutation(len(views))]
         for k, i in enumerate(order[:iterations]):
-            self.step(views[i], refine_pose=False, share=FINAL_RATE ** (k / iterations))
+            self.step(views[i], refine_pose=False, rates=self.rates(FINAL_RATE ** (k / iterations), held=False))
         self.prune()
 
-    def step(self, view: View, refine_pose: bool, share: float = 1.0) -> float:
-        """One render, one backward pass, one Adam step, of ``share`` the usual size, on what the view touched."""
+    def step(self, view: View, refine_pose: bool, rates: LearningRates | None = None) -> float:
+        """One render, one backward pass, one Adam step, with the usual ``rates`` or these, on what the view touched."""
         out = self.renderer.forward(self.map, view.T_wc)
         # What has no Gaussians yet must not make its neighbours spread over it.
         weights = self.weights * (out.opacity > 0.5) if self.config.sweep else self.weights
@@ -250,17 +251,19 @@ class Mapper:
         )
         isotropy = self.config.isotropy / max(3 * len(out.order), 1)
         z = self.median_depth
-        pose = self.adam.step_back(self.renderer, gradient, self.rates(share), isotropy, (1e-4 * z, LARGEST * z))
+        pose = self.adam.step_back(self.renderer, gradient, rates or self.rates(), isotropy, (1e-4 * z, LARGEST * z))
         if refine_pose and self.config.refine_poses and self.keyframes and view is not self.keyframes[0]:
-            rates = (self.config.pose_rate_translation_rel * z, self.config.pose_rate_rotation)
-            view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), pose, rates))
+            sizes = (self.config.pose_rate_translation_rel * z, self.config.pose_rate_rotation)
+            view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), pose, sizes))
         return loss
 
-    def rates(self, share: float = 1.0) -> LearningRates:
+    def rates(self, share: float = 1.0, *, held: bool = True) -> LearningRates:
+        """``share`` of the usual rates; ``held``: discs are slow to leave their plane."""
         c = self.config
+        lift, tilt = (c.lift, c.tilt) if held else (1.0, 1.0)
         return LearningRates(
             c.position_rate_rel * self.median_depth * share, c.scale_rate * share, c.rotation_rate * share,
-            c.opacity_rate * share, c.colour_rate * share, c.lift, c.tilt,
+            c.opacity_rate * share, c.colour_rate * share, lift, tilt,
         )  # fmt: skip
 
     def prune(self) -> int:

@@ -45,9 +45,7 @@ class RecentFrames:
     def __len__(self) -> int:
         return len(self._frames)
 
-    def add(
-        self, frame: Frame, pyramid: list[F32], position: NDArray[np.float64], depth: float
-    ) -> RecentFrame | None:
+    def add(self, frame: Frame, pyramid: list[F32], position: NDArray[np.float64], depth: float) -> RecentFrame | None:
         """Remember a tracked frame unless it hardly moved; ``depth``: the scene's, in the unit of ``position``."""
         if np.linalg.norm(position - self._last) < STEP_MIN * depth:
             return None

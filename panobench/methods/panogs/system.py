@@ -19,8 +19,9 @@ from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.dormant import Dormant, anchors_of
 from panobench.methods.panogs.exposure import ExposureGuard
 from panobench.methods.panogs.keyframes import is_keyframe, update_window
-from panobench.methods.panogs.loops import DRIFT_MIN, LoopCloser, carry_out, move_gaussians
+from panobench.methods.panogs.laps import Laps
 from panobench.methods.panogs.lookback import LookBack
+from panobench.methods.panogs.loops import DRIFT_MIN, LoopCloser, carry_out, move_gaussians
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.places import Places, Thumbnail
 from panobench.methods.panogs.relocalise import Relocaliser
@@ -66,7 +67,7 @@ class PanogsMethod(OnlineMethod):
             self.estimator.start(camera, context.seed)
         self.look_back = LookBack(camera, self.config, self.mapper)
         self.recent = self.look_back.recent
-        self.backend = Backend(self.recent.fine)
+        self.backend = Backend(self.recent.fine, Laps(self.recent.scale) if self.config.laps else None)
         self.exposure = ExposureGuard(self.mapper.weights, not self.look_back.narrow)
         self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places)
@@ -171,6 +172,7 @@ class PanogsMethod(OnlineMethod):
         look = self.look_back
         look.settle(self._pose, self._move)
         self._adjust(at_the_end=True)
+        self._settle(self.backend.close(self._pose, self.mapper.median_depth))
         look.sweep_last(self._pose, self.mapper.median_depth)
         look.settle(self._pose, self._move)
         self.mapper.work(len(self.mapper.todo))
@@ -255,9 +257,9 @@ class PanogsMethod(OnlineMethod):
             m.work(len(m.todo))
 
     def _behind(self, depth: float) -> None:
-        """Work behind the tracker: of its three longer jobs one a frame, so that none waits for two. depth: of the scene.
+        """Work behind the tracker: one of its three longer jobs a frame, so that no frame waits for two.
 
-        Windows may wait for the others, but not for long.
+        depth: of the scene. Windows may wait for the others, but not for long.
         """
         look, before = self.look_back, len(self.mapper.map)
         if look.waiting:

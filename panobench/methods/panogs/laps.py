@@ -1,0 +1,147 @@
+"""Coming back: windows with frames of both visits, and the whole trajectory once they are known.
+
+A window of bundle adjustment does not care when its frames were taken. Where the camera returns to, the reference is
+compared with those that stood there long before as well; this ties the visits together at one scale. In the end the
+trajectory that suits all windows is solved for, over references only: the frames between them follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.geometry import invert_pose
+from panobench.photometric.align import Alignment, align
+from panobench.photometric.bundle import BundleOptions, refine
+from panobench.photometric.pyramid import F32, pyramid
+from panobench.photometric.reference import Reference, make_reference
+from panobench.photometric.stereo import WorkingScale
+from panobench.photometric.windows import PosePrior, Window, fit_trajectory
+
+Pose = NDArray[np.float64]
+#: One pixel in 5 x 5, at half the size of other windows.
+OPTIONS = BundleOptions(cell_px=5, iterations=6, cut=5.0)
+#: Frames that moved after which a place is an old one, and how near it must be, over the scene's depth.
+OLD, NEAR = 200, 0.3
+#: Old references compared with, at most; recent ones on either side.
+OLD_MOST, RECENT = 6, 3
+#: An old reference must be seen as well as recent ones are: cost over their median cost, and share of the view.
+COST_MAX, OVERLAP_MIN = 2.0, 0.6
+#: Standard deviations of the poses as they were, over the scene's depth and in radians: they have drifted.
+PRIOR_TRANSLATION, PRIOR_ROTATION = 1.0, 0.5
+
+
+@dataclass
+class _Place:
+    """A window's reference: its number and luma (h, w) in 8 bits, 0 where invalid."""
+
+    number: int
+    luma: NDArray[np.uint8]
+
+
+class Laps:
+    """All references so far with small images of theirs, and what windows say about these alone."""
+
+    def __init__(self, scale: WorkingScale) -> None:
+        self.scale = scale
+        self.places: list[_Place] = []
+        self.windows: list[Window] = []
+        self.returns = 0  # windows with frames of more than one visit
+
+    def add(self, number: int, luma: F32, window: Window | None) -> None:
+        """A reference, its luma (h, w) at the working size and its window, if it has one."""
+        known = np.nan_to_num(luma) * np.float32(255)
+        self.places.append(_Place(number, np.clip(np.rint(known), 0, 255).astype(np.uint8)))
+        if window is not None:
+            self._keep(window)
+
+    def _keep(self, window: Window) -> None:
+        numbers = np.array([p.number for p in self.places])
+        step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
+        kept = reduced(window, (window.frames - window.reference) % step == 0)
+        if kept is not None:
+            self.windows.append(kept)
+
+    def look(self, pose: Callable[[int], Pose], depth_map: F32, depth: float) -> bool:
+        """Compare the newest reference with old ones that stood where it stands; True if some were recognised.
+
+        pose: number -> T_wc; depth_map (H, W), radial, of the newest, NaN where unknown; depth: the scene's.
+        """
+        newest = self.places[-1]
+        T_wr = pose(newest.number)
+        old = self._stood_here(pose, T_wr, NEAR * depth)
+        if not old:
+            return False
+        s = self.scale
+        small = cv2.resize(depth_map, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        known = np.where(s.valid & np.isfinite(small), small, np.nan).astype(np.float32)
+        levels = self._pyramid(newest)
+        reference = make_reference(s.camera, levels[0], known, len(levels))
+        recent = self.places[-1 - RECENT : -1]
+        seen = [self._aligned(reference, p, invert_pose(pose(p.number)) @ T_wr) for p in [*recent, *old]]
+        limit = COST_MAX * float(np.median([a.cost for a in seen[: len(recent)]]))
+        good = [
+            (p, a) for k, (p, a) in enumerate(zip([*recent, *old], seen))
+            if k < len(recent) or (a.cost < limit and a.overlap > OVERLAP_MIN)
+        ]  # fmt: skip
+        if len(good) < len(recent) + 2:
+            return False
+        images = np.stack([self._luma(p) for p, _ in good])
+        T_fr = np.stack([a.T_fr for _, a in good])
+        bundle = refine(levels[0], s.rays, np.nan_to_num(known), images, T_fr, s.code, s.cam, OPTIONS)
+        if bundle.ok:
+            self.windows.append(Window(newest.number, np.array([p.number for p, _ in good]), bundle))
+            self.returns += 1
+        return bundle.ok
+
+    def _stood_here(self, pose: Callable[[int], Pose], T_wr: Pose, near: float) -> list[_Place]:
+        """Old references within ``near``, the nearest first."""
+        newest = self.places[-1].number
+        old = [p for p in self.places if p.number <= newest - OLD]
+        away = np.array([np.linalg.norm(pose(p.number)[:3, 3] - T_wr[:3, 3]) for p in old])
+        return [old[k] for k in np.argsort(away, kind="stable")[:OLD_MOST] if away[k] < near]
+
+    def _luma(self, place: _Place) -> F32:
+        return np.where(self.scale.valid, place.luma / np.float32(255), np.float32(np.nan)).astype(np.float32)
+
+    def _pyramid(self, place: _Place) -> list[F32]:
+        return pyramid(self._luma(place))
+
+    def _aligned(self, reference: Reference, place: _Place, T_fr: Pose) -> Alignment:
+        return align(reference, self._pyramid(place), T_fr)
+
+    def close(self, pose: Callable[[int], Pose], depth: float) -> dict[int, Pose]:
+        """T_wc by number of all references, as suits all windows; none if the camera never came back."""
+        if not self.returns:
+            return {}
+        numbers = np.array([p.number for p in self.places])
+        row = {int(n): k for k, n in enumerate(numbers)}
+        windows = [
+            Window(row[w.reference], np.array([row[int(n)] for n in w.frames]), w.bundle)
+            for w in self.windows
+            if all(int(n) in row for n in w.frames)
+        ]
+        before = np.stack([pose(int(n)) for n in numbers])
+        prior = PosePrior(PRIOR_TRANSLATION * depth, PRIOR_ROTATION)
+        after = fit_trajectory(before, windows, prior, np.arange(len(numbers)) < 1)
+        return {int(n): T for n, T in zip(numbers, after)}
+
+
+def reduced(window: Window, keep: NDArray[np.bool_]) -> Window | None:
+    """The window over the frames to ``keep`` (F,) alone, the others eliminated (Schur complement); None without any."""
+    if not keep.any():
+        return None
+    b = window.bundle
+    kept, gone = (np.repeat(mask, 6) for mask in (keep, ~keep))
+    H, g = b.information, b.gradient
+    across = H[np.ix_(kept, gone)]
+    Hgg = H[np.ix_(gone, gone)]
+    Hgg = Hgg + 1e-9 * np.trace(Hgg) / max(len(Hgg), 1) * np.eye(len(Hgg))
+    solved = np.linalg.solve(Hgg, np.column_stack([across.T, g[gone]]))
+    A, rest = H[np.ix_(kept, kept)] - across @ solved[:, :-1], g[kept] - across @ solved[:, -1]
+    bundle = replace(b, T_fr=b.T_fr[keep], information=0.5 * (A + A.T), gradient=rest)
+    return Window(window.reference, window.frames[keep], bundle)
