@@ -17,7 +17,7 @@ class PanogsConfig:
     solver: Literal["gauss-newton", "adam"] = "gauss-newton"
     tracking_iterations: int = 15  # of solver "adam"
     tracking_renders: int = 2
-    tracking_pixels: int = 16384  # of every level of the pyramid that are aligned, evenly spread
+    tracking_pixels: int = 16384  # of every level of the pyramid that are aligned, evenly spread; all in a narrow view
     exposure: bool = False  # gain and offset are unknowns of every alignment
     match_exposure: bool = True  # frames are brought to the map's exposure if theirs differs plainly
     relocalise: bool = True  # a frame the map does not explain gets no pose until it is found again

@@ -19,14 +19,13 @@ from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
 from panobench.methods.panogs.recent import RecentFrame, RecentFrames
 from panobench.methods.panogs.smoothing import Smoother
+from panobench.methods.panogs.tracker import NARROW
 from panobench.methods.panogs.views import View
 from panobench.photometric.overlap import ViewShare
 
 Pose = NDArray[np.float64]
 #: Frame number -> T_wc (4, 4).
 PoseOf = Callable[[int], Pose]
-#: Solid angle below which a view is narrow: what enters it soon fills it.
-NARROW = 2 * np.pi
 #: So many frames are more than a sweep needs.
 MANY = 8
 
