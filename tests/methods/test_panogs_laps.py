@@ -98,3 +98,6 @@ def test_a_reduced_window_costs_what_the_whole_costs_at_best() -> None:
     gradient = (H @ full + g)[kept]  # by the kept, where the others are at their best
     np.testing.assert_allclose(small.bundle.information @ x + small.bundle.gradient, gradient, rtol=1e-6, atol=1e-8)
     assert reduced(window, np.zeros(F, bool)) is None
+    whole = reduced(window, np.ones(F, bool))
+    assert whole is not None
+    np.testing.assert_allclose(whole.bundle.information, H)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3, invert_pose, renormalise
-from panobench.methods.panogs.laps import Laps
+from panobench.methods.panogs.laps import Laps, reduced
 from panobench.photometric.bundle import BundleOptions, refine
 from panobench.photometric.pyramid import F32, halve
 from panobench.photometric.stereo import WorkingScale
@@ -103,7 +103,7 @@ class Backend:
         if window is not None:
             self.windows.append(window)
         if self.laps is not None and not self._turned:
-            self.laps.add(k, self._small(target.luma), window)
+            self.laps.add(k, self._small(target.luma), window and reduced(window, (numbers - k) % EVERY == 0))
             self.laps.look(lambda n: pose(self.frames[n].index), depth, float(np.nanmedian(depth)))
 
     def _small(self, luma: F32) -> F32:

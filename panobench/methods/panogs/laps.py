@@ -53,18 +53,11 @@ class Laps:
         self.returns = 0  # windows with frames of more than one visit
 
     def add(self, number: int, luma: F32, window: Window | None) -> None:
-        """A reference, its luma (h, w) at the working size and its window, if it has one."""
+        """A reference, its luma (h, w) at the working size and its window over other references, if it has one."""
         known = np.nan_to_num(luma) * np.float32(255)
         self.places.append(_Place(number, np.clip(np.rint(known), 0, 255).astype(np.uint8)))
         if window is not None:
-            self._keep(window)
-
-    def _keep(self, window: Window) -> None:
-        numbers = np.array([p.number for p in self.places])
-        step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
-        kept = reduced(window, (window.frames - window.reference) % step == 0)
-        if kept is not None:
-            self.windows.append(kept)
+            self.windows.append(window)
 
     def look(self, pose: Callable[[int], Pose], depth_map: F32, depth: float) -> bool:
         """Compare the newest reference with old ones that stood where it stands; True if some were recognised.
@@ -118,12 +111,12 @@ class Laps:
         """T_wc by number of all references, as suits all windows; none if the camera never came back."""
         if not self.returns:
             return {}
-        numbers = np.array([p.number for p in self.places])
-        row = {int(n): k for k, n in enumerate(numbers)}
+        numbers = np.array([p.number for p in self.places])  # ascending
+        known = (reduced(w, np.isin(w.frames, numbers)) for w in self.windows)
         windows = [
-            Window(row[w.reference], np.array([row[int(n)] for n in w.frames]), w.bundle)
-            for w in self.windows
-            if all(int(n) in row for n in w.frames)
+            Window(int(np.searchsorted(numbers, w.reference)), np.searchsorted(numbers, w.frames), w.bundle)
+            for w in known
+            if w is not None
         ]
         before = np.stack([pose(int(n)) for n in numbers])
         prior = PosePrior(PRIOR_TRANSLATION * depth, PRIOR_ROTATION)
