@@ -9,15 +9,19 @@ from panobench.cameras.base import Camera
 
 #: Rays tried, down and across.
 GRID = (12, 24)
+#: Solid angle below which a view is narrow: what enters it soon fills it, and it needs every pixel to tell turning from
+#: moving.
+NARROW = 2 * np.pi
 
 
 class ViewShare:
-    """Shares of the view of a camera; steradians: of its valid pixels."""
+    """Shares of the view of a camera; steradians: of its valid pixels; narrow: they are few (``NARROW``)."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera, self.valid = camera, camera.valid_mask()
         solid_angle = camera.solid_angle() * self.valid
         self.steradians = float(solid_angle.sum())
+        self.narrow = self.steradians < NARROW
         y, x = (max(n // k, 1) for n, k in zip(self.valid.shape, GRID))
         some = np.s_[y // 2 :: y, x // 2 :: x]
         self.rays, self.weights = camera.rays()[some][self.valid[some]], solid_angle[some][self.valid[some]]

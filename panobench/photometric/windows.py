@@ -8,7 +8,7 @@ pixels stand behind it. A weak prior on the poses as they were joins parts that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,22 @@ def fit_trajectory(T_wc: Array, windows: list[Window], prior: PosePrior, held: N
         if np.abs(x * np.sqrt(unit)).max() < SETTLED:
             break
     return invert_pose(T_cw)
+
+
+def reduced(window: Window, keep: NDArray[np.bool_]) -> Window | None:
+    """The window over the frames to ``keep`` (F,) alone, the others eliminated (Schur complement); None without any."""
+    if not keep.any():
+        return None
+    b = window.bundle
+    kept, gone = (np.repeat(mask, 6) for mask in (keep, ~keep))
+    H, g = b.information, b.gradient
+    across = H[np.ix_(kept, gone)]
+    Hgg = H[np.ix_(gone, gone)]
+    Hgg = Hgg + 1e-9 * np.trace(Hgg) / max(len(Hgg), 1) * np.eye(len(Hgg))
+    solved = np.linalg.solve(Hgg, np.column_stack([across.T, g[gone]]))
+    A, rest = H[np.ix_(kept, kept)] - across @ solved[:, :-1], g[kept] - across @ solved[:, -1]
+    bundle = replace(b, T_fr=b.T_fr[keep], information=0.5 * (A + A.T), gradient=rest)
+    return Window(window.reference, window.frames[keep], bundle)
 
 
 def log_scale(own: Array, now: Array) -> float:

@@ -9,11 +9,11 @@ from panobench.datasets.rooms.dataset import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs import backend, laps
 from panobench.methods.panogs.backend import Backend
-from panobench.methods.panogs.laps import Laps, reduced
+from panobench.methods.panogs.laps import Laps
 from panobench.photometric.bundle import Bundle
 from panobench.photometric.pyramid import luma_of_frame
 from panobench.photometric.stereo import WorkingScale
-from panobench.photometric.windows import Window
+from panobench.photometric.windows import Window, reduced
 
 #: Frames of the sequence there and back; the way back is the second visit.
 THERE = 18

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3, invert_pose, renormalise
-from panobench.methods.panogs.laps import Laps, reduced
+from panobench.methods.panogs.laps import Laps
 from panobench.photometric.bundle import BundleOptions, refine
 from panobench.photometric.pyramid import F32, halve
 from panobench.photometric.stereo import WorkingScale
-from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log_scale
+from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log_scale, reduced
 
 Pose = NDArray[np.float64]
 #: One pixel in 8 x 8, and five iterations: the poses are good when they come.
@@ -104,7 +104,7 @@ class Backend:
             self.windows.append(window)
         if self.laps is not None and not self._turned:
             self.laps.add(k, self._small(target.luma), window and reduced(window, (numbers - k) % EVERY == 0))
-            self.laps.look(lambda n: pose(self.frames[n].index), depth, float(np.nanmedian(depth)))
+            self.laps.look(lambda n: pose(self.frames[n].index), depth)
 
     def _small(self, luma: F32) -> F32:
         assert self.laps is not None

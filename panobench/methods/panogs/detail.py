@@ -76,7 +76,7 @@ class SeedPattern:
     def _lattice(self, number: int, rng: np.random.Generator) -> NDArray[np.float64]:
         """Pixels as dense as the level wants them, never twice the same.
 
-        Those of a panorama are made once and turned about the vertical: a seed for every tenth pixel takes longer.
+        Those of a panorama are made once and turned about the vertical: making them takes longer than inserting.
         """
         count = max(round(self.count * self.levels[number].density), 1)
         if self.camera.kind != "erp":

@@ -8,7 +8,7 @@ trajectory that suits all windows is solved for, over references only: the frame
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from panobench.photometric.bundle import BundleOptions, refine
 from panobench.photometric.pyramid import F32, pyramid
 from panobench.photometric.reference import Reference, make_reference
 from panobench.photometric.stereo import WorkingScale
-from panobench.photometric.windows import PosePrior, Window, fit_trajectory
+from panobench.photometric.windows import PosePrior, Window, fit_trajectory, reduced
 
 Pose = NDArray[np.float64]
 #: One pixel in 5 x 5, at half the size of other windows.
@@ -59,18 +59,18 @@ class Laps:
         if window is not None:
             self.windows.append(window)
 
-    def look(self, pose: Callable[[int], Pose], depth_map: F32, depth: float) -> bool:
+    def look(self, pose: Callable[[int], Pose], depth: F32) -> bool:
         """Compare the newest reference with old ones that stood where it stands; True if some were recognised.
 
-        pose: number -> T_wc; depth_map (H, W), radial, of the newest, NaN where unknown; depth: the scene's.
+        pose: number -> T_wc; depth (H, W), radial, of the newest, NaN where unknown.
         """
         newest = self.places[-1]
         T_wr = pose(newest.number)
-        old = self._stood_here(pose, T_wr, NEAR * depth)
+        old = self._stood_here(pose, T_wr, depth)
         if not old:
             return False
         s = self.scale
-        small = cv2.resize(depth_map, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        small = cv2.resize(depth, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST)
         known = np.where(s.valid & np.isfinite(small), small, np.nan).astype(np.float32)
         levels = self._pyramid(newest)
         reference = make_reference(s.camera, levels[0], known, len(levels))
@@ -91,10 +91,13 @@ class Laps:
             self.returns += 1
         return bundle.ok
 
-    def _stood_here(self, pose: Callable[[int], Pose], T_wr: Pose, near: float) -> list[_Place]:
-        """Old references within ``near``, the nearest first."""
+    def _stood_here(self, pose: Callable[[int], Pose], T_wr: Pose, depth: F32) -> list[_Place]:
+        """Old references near ``T_wr``, by the median of what it sees, the nearest first."""
         newest = self.places[-1].number
         old = [p for p in self.places if p.number <= newest - OLD]
+        if not old or not np.isfinite(depth).any():
+            return []
+        near = NEAR * float(np.nanmedian(depth))
         away = np.array([np.linalg.norm(pose(p.number)[:3, 3] - T_wr[:3, 3]) for p in old])
         return [old[k] for k in np.argsort(away, kind="stable")[:OLD_MOST] if away[k] < near]
 
@@ -122,19 +125,3 @@ class Laps:
         prior = PosePrior(PRIOR_TRANSLATION * depth, PRIOR_ROTATION)
         after = fit_trajectory(before, windows, prior, np.arange(len(numbers)) < 1)
         return {int(n): T for n, T in zip(numbers, after)}
-
-
-def reduced(window: Window, keep: NDArray[np.bool_]) -> Window | None:
-    """The window over the frames to ``keep`` (F,) alone, the others eliminated (Schur complement); None without any."""
-    if not keep.any():
-        return None
-    b = window.bundle
-    kept, gone = (np.repeat(mask, 6) for mask in (keep, ~keep))
-    H, g = b.information, b.gradient
-    across = H[np.ix_(kept, gone)]
-    Hgg = H[np.ix_(gone, gone)]
-    Hgg = Hgg + 1e-9 * np.trace(Hgg) / max(len(Hgg), 1) * np.eye(len(Hgg))
-    solved = np.linalg.solve(Hgg, np.column_stack([across.T, g[gone]]))
-    A, rest = H[np.ix_(kept, kept)] - across @ solved[:, :-1], g[kept] - across @ solved[:, -1]
-    bundle = replace(b, T_fr=b.T_fr[keep], information=0.5 * (A + A.T), gradient=rest)
-    return Window(window.reference, window.frames[keep], bundle)

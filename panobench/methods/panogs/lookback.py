@@ -19,7 +19,6 @@ from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.newdepth import NewDepth, Swept
 from panobench.methods.panogs.recent import RecentFrame, RecentFrames
 from panobench.methods.panogs.smoothing import Smoother
-from panobench.methods.panogs.tracker import NARROW
 from panobench.methods.panogs.views import View
 from panobench.photometric.overlap import ViewShare
 
@@ -50,7 +49,6 @@ class LookBack:
         self.smoother = Smoother(self.recent.fine)
         self.new_depth = NewDepth(camera, self.recent.scale)
         self.view_share = ViewShare(camera)
-        self.narrow = self.view_share.steradians < NARROW
         self.due = False  # a keyframe asks for it
         self._found: _Found | None = None
 
@@ -80,7 +78,7 @@ class LookBack:
     def _sees_new(self, target: RecentFrame, pose: PoseOf) -> bool:
         m, view = self.mapper, View(target.index, target.image, pose(target.index))
         render = m.renderer.forward(m.map, view.T_wc)
-        return float(m.weights[m.thin(render) | m.wrong(view, render)].sum()) > self.config.sweep_share
+        return float(m.weights[m.unknown(view, render)].sum()) > self.config.sweep_share
 
     def _find(
         self, target: RecentFrame, others: list[RecentFrame], pose: PoseOf, depth: float, *, refine: bool
@@ -111,7 +109,7 @@ class LookBack:
     def _delay(self, pose: PoseOf, depth: float) -> int:
         """Frames to look back: as many as still show most of what the newest sees, which on a full panorama is all."""
         c = self.config
-        if not self.narrow or len(self.recent) < c.delay_min + 1:
+        if not self.view_share.narrow or len(self.recent) < c.delay_min + 1:
             return c.delay
         newest = self.recent.before(0)
         for delay in range(min(c.delay, len(self.recent) - 1), c.delay_min, -1):

@@ -149,6 +149,10 @@ class Mapper:
 
         return (cv2.blur(self._error(view, render), (5, 5)) > self.config.insert_error) & (self.weights > 0)
 
+    def unknown(self, view: View, render: RenderOutput) -> NDArray[np.bool_]:
+        """(H, W): where the map is thin or wrong."""
+        return self.thin(render) | self.wrong(view, render)
+
     @staticmethod
     def _error(view: View, render: RenderOutput) -> F32:
         """(H, W): mean absolute difference of render and image over the colours, of 1."""

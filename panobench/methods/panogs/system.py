@@ -68,7 +68,7 @@ class PanogsMethod(OnlineMethod):
         self.look_back = LookBack(camera, self.config, self.mapper)
         self.recent = self.look_back.recent
         self.backend = Backend(self.recent.fine, Laps(self.recent.scale) if self.config.laps else None)
-        self.exposure = ExposureGuard(self.mapper.weights, not self.look_back.narrow)
+        self.exposure = ExposureGuard(self.mapper.weights, not self.look_back.view_share.narrow)
         self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places)
         self.closer = LoopCloser(self.tracker, self.places, self.relocaliser.descend)
@@ -221,7 +221,7 @@ class PanogsMethod(OnlineMethod):
         assert seen is not None
         assert last_seen is not None
         view = View(frame.index, frame.image, tracked.T_wc, touched=seen)
-        unknown = m.thin(tracked.render) | m.wrong(view, tracked.render)
+        unknown = m.unknown(view, tracked.render)
         new_share = float(m.weights[unknown].sum())
         distance = float(np.linalg.norm(view.position - last.position)) / m.local_depth(tracked.render)
         self.numbers.setdefault(frame.index, {})["new_share"] = new_share
@@ -241,7 +241,7 @@ class PanogsMethod(OnlineMethod):
         record.anchor, record.relative = view, np.eye(4)
         self.look_back.due = True
         m.plan(self.config.mapping_iterations)
-        if not self.config.sweep or (self.look_back.narrow and new_share > self.config.guess_share):
+        if not self.config.sweep or (self.look_back.view_share.narrow and new_share > self.config.guess_share):
             m.insert(view, tracked.render)
             self._draw_new(before, at_once=True)
         if self.config.loop and self.places.turns:
@@ -262,14 +262,13 @@ class PanogsMethod(OnlineMethod):
         depth: of the scene. Windows may wait for the others, but not for long.
         """
         look, before = self.look_back, len(self.mapper.map)
+        busy = look.waiting or look.due
         if look.waiting:
             look.settle(self._pose, self._move)
             self._draw_new(before, at_once=False)
         elif look.due:
             look.sweep(self._pose, depth)
-        elif self.backend.due() is not None:
-            self._adjust()
-        if self.backend.overdue():
+        if not busy or self.backend.overdue():
             self._adjust()
 
     def _close_loop(self, view: View, thumbnail: Thumbnail) -> float:

@@ -12,6 +12,7 @@ from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.views import PoseAdam
 from panobench.photometric.align import Alignment, align
+from panobench.photometric.overlap import ViewShare
 from panobench.photometric.pyramid import F32, luma_of_frame, luma_of_planes, pyramid
 from panobench.photometric.reference import AlignOptions, Reference, make_reference, watchful
 from panobench.photometric.weighting import reweighted
@@ -21,9 +22,6 @@ from panobench.splat.render import Renderer, RenderOutput
 
 #: Pixels with less opacity have no trustworthy depth.
 OPACITY_MIN = 0.9
-#: Solid angle below which a view is narrow: what enters it soon fills it, and it needs every pixel to tell turning from
-#: moving.
-NARROW = 2 * np.pi
 #: A frame this far from its render is rendered again.
 _RENDER_AGAIN_PX = 0.7
 
@@ -47,14 +45,13 @@ class Tracker:
         self.camera, self.renderer, self.config = camera, renderer, config
         self.valid = camera.valid_mask()
         self.weights = pixel_weights(camera, config.loss)
-        area = camera.solid_angle()[self.valid]
+        pixels = None if ViewShare(camera).narrow else config.tracking_pixels
         fine = AlignOptions(
-            exposure=config.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5,
-            pixels=config.tracking_pixels if area.sum() > NARROW else None,
+            exposure=config.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5, pixels=pixels
         )  # fmt: skip
         fine = watchful(camera, fine)
         self.options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
-        self.pixel = float(np.sqrt(np.median(area)))
+        self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
         self.reference: Reference | None = None
         self.T_reference = np.eye(4)
         self.T_last: NDArray[np.float64] | None = None
