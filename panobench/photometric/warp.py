@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.errors import UnsupportedError
-from panobench.splat.kernel_options import JIT, JIT_FINITE
+from panobench.splat.kernel_options import INLINE, JIT, JIT_FINITE
 
 ERP, PINHOLE = 0, 1
 _PI = np.float32(np.pi)
@@ -37,7 +37,7 @@ def halved(parameters: NDArray[np.float32], level: int) -> NDArray[np.float32]:
     return np.asarray(parameters / np.float32(2**level), dtype=np.float32)
 
 
-@njit(**JIT)
+@njit(**INLINE)
 def atan2_fast(y, x):  # type: ignore[no-untyped-def]
     """atan2 in float32, absolute error below 3e-7 (odd polynomial, minimax fit on [0, 1])."""
     ax, ay = abs(x), abs(y)

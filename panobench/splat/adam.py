@@ -16,72 +16,156 @@ import numpy as np
 from numba import get_num_threads, njit, prange
 from numpy.typing import NDArray
 
-from panobench.splat.chain import PARAMETERS, gaussian_gradient, sum_moments
+from panobench.splat.algebra import exp_fast, rotate, rows_of, unrotate
+from panobench.splat.block import BLOCK, PARAMETERS, P, channels, load_parameters
+from panobench.splat.chain import CHAIN_CHANNELS, G, gradient_block, load_touched
 from panobench.splat.gaussians import F32, GaussianMap
-from panobench.splat.kernel_options import JIT, MOMENTS, PARALLEL
+from panobench.splat.kernel_options import INLINE, JIT, PARALLEL
 from panobench.splat.render import Renderer
 
 #: Steps after which the bias correction of either moment is taken to be 1.
 _CORRECTED = 4096
 
 
-@njit(inline="always", **JIT)
-def _update(  # type: ignore[no-untyped-def]
-    k, g, row, d, means, log_scales, quats, logits, colours, m, v, steps, corrections, rates, lift, tilt, isotropy,
+# Offsets in a block's buffer behind those of chain.py: moments of the optimiser, their corrections, a flag.
+_M = channels(CHAIN_CHANNELS, PARAMETERS)
+_V = channels(CHAIN_CHANNELS + PARAMETERS, PARAMETERS)
+_C1, _C2, _OK = channels(CHAIN_CHANNELS + 2 * PARAMETERS, 3)
+_CHANNELS = CHAIN_CHANNELS + 2 * PARAMETERS + 3
+_BLOCK = np.uint64(BLOCK)
+_F0, _F1, _F2, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
+_EPS, _HUGE = np.float32(1e-15), np.float32(1e20)
+
+
+@njit(**INLINE)
+def _unit_quaternion(buf, j):  # type: ignore[no-untyped-def]
+    """(w, x, y, z) and the length it had."""
+    w, x, y, z = buf[j + P[6]], buf[j + P[7]], buf[j + P[8]], buf[j + P[9]]
+    norm = np.sqrt(w * w + x * x + y * y + z * z)
+    inv = _F1 / norm
+    return w * inv, x * inv, y * inv, z * inv, norm
+
+
+@njit(**INLINE)
+def _axes(w, x, y, z):  # type: ignore[no-untyped-def]
+    """The rows of a unit quaternion's rotation, in float32."""
+    return (
+        (_F1 - _F2 * (y * y + z * z), _F2 * (x * y - w * z), _F2 * (x * z + w * y)),
+        (_F2 * (x * y + w * z), _F1 - _F2 * (x * x + z * z), _F2 * (y * z - w * x)),
+        (_F2 * (x * z - w * y), _F2 * (y * z + w * x), _F1 - _F2 * (x * x + y * y)),
+    )
+
+
+@njit(**INLINE)
+def _thin(buf, j):  # type: ignore[no-untyped-def]
+    """Is the first axis the shortest, is the second (else it is the third)?"""
+    s0, s1, s2 = buf[j + P[3]], buf[j + P[4]], buf[j + P[5]]
+    first = (s0 <= s1) & (s0 <= s2)
+    return first, (not first) & (s1 <= s2)
+
+
+@njit(**JIT)
+def _own_axes(buf, n, isotropy):  # type: ignore[no-untyped-def]
+    """Flag the gradients that are to be followed, add the isotropy term, turn what is of space into the own axes."""
+    iso = np.float32(isotropy)
+    for j in range(n):
+        size = _F0
+        for i in range(PARAMETERS):
+            size += abs(buf[j + G[i]])
+        buf[j + _OK] = _F1 if (size > _F0) & (size < _HUGE) else _F0
+        # Flattened Gaussians are thin on purpose: only the two larger axes, a and b, are pulled together.
+        first, second = _thin(buf, j)
+        e0, e1, e2 = exp_fast(buf[j + P[3]]), exp_fast(buf[j + P[4]]), exp_fast(buf[j + P[5]])
+        ea, eb = e1 if first else (e2 if second else e0), e2 if first else (e0 if second else e1)
+        pull = iso if ea > eb else -iso
+        buf[j + G[3]] += _F0 if first else (-pull * e0 if second else pull * e0)
+        buf[j + G[4]] += pull * e1 if first else (_F0 if second else -pull * e1)
+        buf[j + G[5]] += -pull * e2 if first else (pull * e2 if second else _F0)
+        w, x, y, z, norm = _unit_quaternion(buf, j)
+        g = unrotate(_axes(w, x, y, z), (buf[j + G[0]], buf[j + G[1]], buf[j + G[2]]))
+        # q (1, r/2) is the rotation by r in the own axes; the gradient is of the unnormalised q.
+        half = _HALF * norm
+        a0, a1, a2, a3 = half * buf[j + G[6]], half * buf[j + G[7]], half * buf[j + G[8]], half * buf[j + G[9]]
+        buf[j + G[0]], buf[j + G[1]], buf[j + G[2]] = g
+        buf[j + G[6]] = -x * a0 + w * a1 + z * a2 - y * a3
+        buf[j + G[7]] = -y * a0 - z * a1 + w * a2 + x * a3
+        buf[j + G[8]] = -z * a0 + y * a1 - x * a2 + w * a3
+        buf[j + G[9]] = _F0
+
+
+@njit(**JIT)
+def _moments(buf, n, rates, beta1, beta2):  # type: ignore[no-untyped-def]
+    """Update the optimiser's moments; gradients become steps."""
+    f1, f2 = _F1 - beta1, _F1 - beta2
+    for i in range(PARAMETERS):
+        rate, at = rates[i], _BLOCK * np.uint64(i)
+        for j in range(n):
+            g = buf[at + j + G[0]]
+            m, v = buf[at + j + _M[0]], buf[at + j + _V[0]]
+            m += f1 * (g - m)
+            v += f2 * (g * g - v)
+            buf[at + j + _M[0]], buf[at + j + _V[0]] = m, v
+            buf[at + j + G[0]] = rate * (m * buf[j + _C1]) / (np.sqrt(v * buf[j + _C2]) + _EPS)
+
+
+@njit(**JIT)
+def _move(buf, n, lift, tilt, scale_min, scale_max):  # type: ignore[no-untyped-def]
+    """Take the steps."""
+    for j in range(n):
+        first, second = _thin(buf, j)
+        d0 = buf[j + G[0]] * (lift if first else _F1)
+        d1 = buf[j + G[1]] * (lift if second else _F1)
+        d2 = buf[j + G[2]] * (_F1 if first | second else lift)
+        r0 = -_HALF * buf[j + G[6]] * (_F1 if first else tilt)
+        r1 = -_HALF * buf[j + G[7]] * (_F1 if second else tilt)
+        r2 = -_HALF * buf[j + G[8]] * (tilt if first | second else _F1)
+        w, x, y, z, _ = _unit_quaternion(buf, j)
+        moved = rotate(_axes(w, x, y, z), (d0, d1, d2))
+        buf[j + P[0]] -= moved[0]
+        buf[j + P[1]] -= moved[1]
+        buf[j + P[2]] -= moved[2]
+        buf[j + P[3]] = min(max(buf[j + P[3]] - buf[j + G[3]], scale_min), scale_max)
+        buf[j + P[4]] = min(max(buf[j + P[4]] - buf[j + G[4]], scale_min), scale_max)
+        buf[j + P[5]] = min(max(buf[j + P[5]] - buf[j + G[5]], scale_min), scale_max)
+        nw, nx = w - x * r0 - y * r1 - z * r2, x + w * r0 + y * r2 - z * r1
+        ny, nz = y + w * r1 + z * r0 - x * r2, z + w * r2 + x * r1 - y * r0
+        inv = _F1 / np.sqrt(nw * nw + nx * nx + ny * ny + nz * nz)
+        buf[j + P[6]], buf[j + P[7]], buf[j + P[8]], buf[j + P[9]] = nw * inv, nx * inv, ny * inv, nz * inv
+        buf[j + P[10]] -= buf[j + G[10]]
+        buf[j + P[11]] -= buf[j + G[11]]
+        buf[j + P[12]] -= buf[j + G[12]]
+        buf[j + P[13]] -= buf[j + G[13]]
+
+
+@njit(**JIT)
+def _step_block(  # type: ignore[no-untyped-def]
+    buf, ids, count, means, log_scales, quats, logits, colours, m, v, steps, corrections, rates, lift, tilt, isotropy,
     beta1, beta2, scale_min, scale_max,
 ):  # fmt: skip
-    """One Adam step of Gaussian k by its gradient g[row] (PARAMETERS,), which is used up; d (PARAMETERS,): scratch."""
-    size = np.float32(0.0)
-    for i in range(PARAMETERS):
-        size += abs(g[row, i])
-    if not (size > 0.0 and size < 1e20):  # untouched, or not finite
-        return
-    s0, s1, s2 = log_scales[k, 0], log_scales[k, 1], log_scales[k, 2]
-    thin = 0 if (s0 <= s1 and s0 <= s2) else (1 if s1 <= s2 else 2)
-    if isotropy > 0.0:
-        # Flattened Gaussians are thin on purpose: only the two larger axes are pulled together.
-        a, b = (thin + 1) % 3, (thin + 2) % 3
-        sa, sb = np.exp(log_scales[k, a]), np.exp(log_scales[k, b])
-        pull = np.float32(isotropy) * (np.float32(1.0) if sa > sb else np.float32(-1.0))
-        g[row, 3 + a] += pull * sa
-        g[row, 3 + b] -= pull * sb
-    norm = np.sqrt(quats[k, 0] ** 2 + quats[k, 1] ** 2 + quats[k, 2] ** 2 + quats[k, 3] ** 2)
-    qw, qx, qy, qz = quats[k, 0] / norm, quats[k, 1] / norm, quats[k, 2] / norm, quats[k, 3] / norm
-    r00, r01, r02 = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qw * qz), 2 * (qx * qz + qw * qy)
-    r10, r11, r12 = 2 * (qx * qy + qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qw * qx)
-    r20, r21, r22 = 2 * (qx * qz - qw * qy), 2 * (qy * qz + qw * qx), 1 - 2 * (qx * qx + qy * qy)
-    gx, gy, gz = g[row, 0], g[row, 1], g[row, 2]
-    g[row, 0], g[row, 1], g[row, 2] = (
-        r00 * gx + r10 * gy + r20 * gz, r01 * gx + r11 * gy + r21 * gz, r02 * gx + r12 * gy + r22 * gz,
-    )  # fmt: skip
-    # q (1, w/2) is the rotation by w in the own axes; g is of the unnormalised q.
-    a0, a1, a2, a3 = 0.5 * norm * g[row, 6], 0.5 * norm * g[row, 7], 0.5 * norm * g[row, 8], 0.5 * norm * g[row, 9]
-    g[row, 6] = -qx * a0 + qw * a1 + qz * a2 - qy * a3
-    g[row, 7] = -qy * a0 - qz * a1 + qw * a2 + qx * a3
-    g[row, 8] = -qz * a0 + qy * a1 - qx * a2 + qw * a3
-    g[row, 9] = 0.0
-    n = min(steps[k], len(corrections) - 1)
-    steps[k] += 1
-    c1, c2 = corrections[n, 0], corrections[n, 1]
-    eps = np.float32(1e-15)
-    for i in range(PARAMETERS):
-        m[k, i] += (np.float32(1) - beta1) * (g[row, i] - m[k, i])
-        v[k, i] += (np.float32(1) - beta2) * (g[row, i] * g[row, i] - v[k, i])
-        d[i] = rates[i] * (m[k, i] * c1) / (np.sqrt(v[k, i] * c2) + eps)
-    d[thin] *= lift
-    means[k, 0] -= r00 * d[0] + r01 * d[1] + r02 * d[2]
-    means[k, 1] -= r10 * d[0] + r11 * d[1] + r12 * d[2]
-    means[k, 2] -= r20 * d[0] + r21 * d[1] + r22 * d[2]
-    for i in range(3):
-        log_scales[k, i] = min(max(log_scales[k, i] - d[3 + i], scale_min), scale_max)
-        d[6 + i] *= np.float32(-0.5) * (tilt if i != thin else np.float32(1.0))
-        colours[k, i] -= d[11 + i]
-    logits[k] -= d[10]
-    wx, wy, wz = d[6], d[7], d[8]
-    nw, nx = qw - qx * wx - qy * wy - qz * wz, qx + qw * wx + qy * wz - qz * wy
-    ny, nz = qy + qw * wy + qz * wx - qx * wz, qz + qw * wz + qx * wy - qy * wx
-    norm = np.sqrt(nw * nw + nx * nx + ny * ny + nz * nz)
-    quats[k, 0], quats[k, 1], quats[k, 2], quats[k, 3] = nw / norm, nx / norm, ny / norm, nz / norm
+    """One Adam step of the Gaussians whose parameters and gradients are in the buffer, written back to the map."""
+    last = len(corrections) - 1
+    for j in range(count):
+        k = ids[j]
+        for i in range(PARAMETERS):
+            buf[j + _M[i]], buf[j + _V[i]] = m[k, i], v[k, i]
+        done = min(steps[k], last)
+        buf[j + _C1], buf[j + _C2] = corrections[done, 0], corrections[done, 1]
+    n = np.uint64(count)
+    _own_axes(buf, n, isotropy)
+    _moments(buf, n, rates, beta1, beta2)
+    _move(buf, n, lift, tilt, scale_min, scale_max)
+    for j in range(count):
+        if buf[j + _OK] == _F0:
+            continue
+        k = ids[j]
+        for i in range(PARAMETERS):
+            m[k, i], v[k, i] = buf[j + _M[i]], buf[j + _V[i]]
+        for i in range(3):
+            means[k, i], log_scales[k, i], colours[k, i] = buf[j + P[i]], buf[j + P[3 + i]], buf[j + P[11 + i]]
+        for i in range(4):
+            quats[k, i] = buf[j + P[6 + i]]
+        logits[k] = buf[j + P[10]]
+        steps[k] += 1
 
 
 @njit(**PARALLEL)
@@ -89,12 +173,19 @@ def _adam(  # type: ignore[no-untyped-def]
     grads, means, log_scales, quats, logits, colours, m, v, steps, corrections, rates, lift, tilt, isotropy,
     beta1, beta2, scale_min, scale_max, threads,
 ):  # fmt: skip
-    share = (means.shape[0] + threads - 1) // threads
+    count = means.shape[0]
+    share = (count + threads - 1) // threads
     for th in prange(threads):
-        d = np.empty(PARAMETERS, np.float32)
-        for k in range(th * share, min((th + 1) * share, means.shape[0])):
-            _update(
-                k, grads, k, d, means, log_scales, quats, logits, colours, m, v, steps, corrections, rates, lift,
+        buf, ids = np.empty(_CHANNELS * BLOCK, np.float32), np.empty(BLOCK, np.int64)
+        for k0 in range(th * share, min((th + 1) * share, count), BLOCK):
+            n = min(BLOCK, min((th + 1) * share, count) - k0)
+            for j in range(n):
+                ids[j] = k0 + j
+                load_parameters(buf, j, k0 + j, means, log_scales, quats, logits, colours)
+                for i in range(PARAMETERS):
+                    buf[j + G[i]] = grads[k0 + j, i]
+            _step_block(
+                buf, ids, n, means, log_scales, quats, logits, colours, m, v, steps, corrections, rates, lift,
                 tilt, isotropy, beta1, beta2, scale_min, scale_max,
             )  # fmt: skip
 
@@ -106,21 +197,20 @@ def _adam_from_moments(  # type: ignore[no-untyped-def]
     beta1, beta2, scale_min, scale_max,
 ):  # fmt: skip
     """``parameter_gradients`` and ``_adam`` in one pass: no gradient array is written or read."""
-    threads, n = moments.shape[0], means.shape[0]
-    share = (n + threads - 1) // threads
+    threads, count = moments.shape[0], means.shape[0]
+    share = (count + threads - 1) // threads
     low = low_pass * pixel_angle * pixel_angle
     for th in prange(threads):
-        M, tau = np.empty(MOMENTS), np.zeros(6)
-        g, d = np.empty((1, PARAMETERS), np.float32), np.empty(PARAMETERS, np.float32)
-        for k in range(th * share, min((th + 1) * share, n)):
-            if sum_moments(moments, k, M):
-                gaussian_gradient(
-                    M, k, means, log_scales, quats, logits, R_cw, t_cw, code, intr, low_pass, low, g, 0, tau
-                )
-                _update(
-                    k, g, 0, d, means, log_scales, quats, logits, colours, m, v, steps, corrections, rates, lift,
-                    tilt, isotropy, beta1, beta2, scale_min, scale_max,
-                )  # fmt: skip
+        buf, ids, tau = np.empty(_CHANNELS * BLOCK, np.float32), np.empty(BLOCK, np.int64), np.zeros(6)
+        R, t = rows_of(R_cw), (t_cw[0], t_cw[1], t_cw[2])
+        k, end = th * share, min((th + 1) * share, count)
+        while k < end:
+            n, k = load_touched(buf, ids, k, end, moments, means, log_scales, quats, logits, colours)
+            gradient_block(buf, n, R, t, code, intr, low_pass, low, tau)
+            _step_block(
+                buf, ids, n, means, log_scales, quats, logits, colours, m, v, steps, corrections, rates, lift,
+                tilt, isotropy, beta1, beta2, scale_min, scale_max,
+            )  # fmt: skip
         for i in range(6):
             pose[th, i] = tau[i]
 

@@ -9,32 +9,38 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from panobench.splat.kernel_options import JIT, MOMENTS, PARALLEL
-from panobench.splat.project import (
+from panobench.splat.algebra import (
     axes_in_camera,
     camera_covariance,
     dot,
-    first_order,
+    exp_fast,
     rotate,
     rotation,
+    rows_of,
     symmetric_times,
     tangent_basis,
+    unrotate,
     whiten,
 )
+from panobench.splat.block import BLOCK, PARAMETERS, P, channels, load_parameters
+from panobench.splat.kernel_options import INLINE, JIT, MOMENTS, PARALLEL
+from panobench.splat.project import first_order
 from panobench.splat.view import CONIC_ERP, SPHERE
 
-#: Columns of the gradient array: means 0-2, log_scales 3-5, quats 6-9, opacity_logit 10, colours 11-13.
-PARAMETERS = 14
+# Offsets in a block's buffer behind the parameters: gradients, in the same order, and moments.
+G, M = channels(PARAMETERS, PARAMETERS), channels(2 * PARAMETERS, MOMENTS)
+#: Channels up to here.
+CHAIN_CHANNELS = 2 * PARAMETERS + MOMENTS
 
 
-@njit(**JIT)
-def _covariance_gradient(M, w00, w01, w11):  # type: ignore[no-untyped-def]
-    """dL/dS = W^T [[M3, M4], [M4, M5]] W / 2 as (00, 01, 11)."""
-    a00, a01, a11 = M[3] * w00, M[3] * w01 + M[4] * w11, M[4] * w01 + M[5] * w11
+@njit(**INLINE)
+def _covariance_gradient(S, w00, w01, w11):  # type: ignore[no-untyped-def]
+    """dL/dS = W^T [[S3, S4], [S4, S5]] W / 2 as (00, 01, 11), S: the moments."""
+    a00, a01, a11 = S[3] * w00, S[3] * w01 + S[4] * w11, S[4] * w01 + S[5] * w11
     return 0.5 * w00 * a00, 0.5 * w00 * a01, 0.5 * (w01 * a01 + w11 * a11)
 
 
-@njit(**JIT)
+@njit(**INLINE)
 def _sandwich(a, b, g00, g01, g11, f):  # type: ignore[no-untyped-def]
     """f [a b] [[g00, g01], [g01, g11]] [a b]^T, upper triangle of the symmetric 3x3 (dL/dSigma)."""
     pa = (g00 * a[0] + g01 * b[0], g00 * a[1] + g01 * b[1], g00 * a[2] + g01 * b[2])
@@ -45,8 +51,8 @@ def _sandwich(a, b, g00, g01, g11, f):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(**JIT)
-def _sphere_gradients(mu, C, M, dist, low):  # type: ignore[no-untyped-def]
+@njit(**INLINE)
+def _sphere_gradients(mu, C, S, dist, low):  # type: ignore[no-untyped-def]
     """dL/dSigma (upper triangle) and dL/dmu for the tangent-plane footprint."""
     m = (mu[0] / dist, mu[1] / dist, mu[2] / dist)
     e, s = tangent_basis(m)
@@ -54,12 +60,12 @@ def _sphere_gradients(mu, C, M, dist, low):  # type: ignore[no-untyped-def]
     inv2 = 1.0 / (dist * dist)
     S00, S01, S11 = dot(e, Ce) * inv2, dot(s, Ce) * inv2, dot(s, Cs) * inv2
     w00, w01, w11 = whiten(S00 + low, S01, S11 + low)
-    g00, g01, g11 = _covariance_gradient(M, w00, w01, w11)
+    g00, g01, g11 = _covariance_gradient(S, w00, w01, w11)
     i00, i11 = 1.0 / w00, 1.0 / w11
     i01 = -w01 * i00 * i11  # W^-1 of an upper-triangular W
     n0, n1 = dot(Ce, m) * inv2, dot(Cs, m) * inv2
-    d0 = w00 * M[1] + i00 * M[6] + i01 * M[7] - 2.0 * (g00 * n0 + g01 * n1)
-    d1 = w01 * M[1] + w11 * M[2] + i11 * M[7] - 2.0 * (g01 * n0 + g11 * n1)
+    d0 = w00 * S[1] + i00 * S[6] + i01 * S[7] - 2.0 * (g00 * n0 + g01 * n1)
+    d1 = w01 * S[1] + w11 * S[2] + i11 * S[7] - 2.0 * (g01 * n0 + g11 * n1)
     radial = -2.0 * (g00 * S00 + 2.0 * g01 * S01 + g11 * S11)
     gmu = (
         (e[0] * d0 + s[0] * d1 + m[0] * radial) / dist,
@@ -112,13 +118,13 @@ def _pinhole_curvature(mu, g0, g1, J0, J1, clamped_x, clamped_y, intr):  # type:
 
 
 @njit(**JIT)
-def _conic_gradients(mu, C, M, code, intr, low_pass):  # type: ignore[no-untyped-def]
+def _conic_gradients(mu, C, S, code, intr, low_pass):  # type: ignore[no-untyped-def]
     """dL/dSigma and dL/dmu for a first-order projection, including the dependence of J on mu."""
     _, _, J0, J1, clamped_x, clamped_y = first_order(mu, code, intr)
     C0, C1 = symmetric_times(C, J0), symmetric_times(C, J1)
     w00, w01, w11 = whiten(dot(J0, C0) + low_pass, dot(J0, C1), dot(J1, C1) + low_pass)
-    g00, g01, g11 = _covariance_gradient(M, w00, w01, w11)
-    gu, gv = w00 * M[1], w01 * M[1] + w11 * M[2]
+    g00, g01, g11 = _covariance_gradient(S, w00, w01, w11)
+    gu, gv = w00 * S[1], w01 * S[1] + w11 * S[2]
     g0 = (2 * (g00 * C0[0] + g01 * C1[0]), 2 * (g00 * C0[1] + g01 * C1[1]), 2 * (g00 * C0[2] + g01 * C1[2]))
     g1 = (2 * (g01 * C0[0] + g11 * C1[0]), 2 * (g01 * C0[1] + g11 * C1[1]), 2 * (g01 * C0[2] + g11 * C1[2]))
     if code == CONIC_ERP:
@@ -137,103 +143,127 @@ def _conic_gradients(mu, C, M, code, intr, low_pass):  # type: ignore[no-untyped
     return _sandwich(J0, J1, g00, g01, g11, 1.0), gmu
 
 
-@njit(**JIT)
-def _quaternion_gradient(q, G):  # type: ignore[no-untyped-def]
-    """dL/dq through the normalisation, for G = dL/dR row-major."""
+@njit(**INLINE)
+def _quaternion_gradient(q, G0, G1, G2):  # type: ignore[no-untyped-def]
+    """dL/dq through the normalisation, for the rows of G = dL/dR."""
     _, scale = rotation(q)
     w, x, y, z = q[0] * scale, q[1] * scale, q[2] * scale, q[3] * scale
-    d21, d02, d10 = G[7] - G[5], G[2] - G[6], G[3] - G[1]
-    s01, s02, s12 = G[1] + G[3], G[2] + G[6], G[5] + G[7]
+    d21, d02, d10 = G2[1] - G1[2], G0[2] - G2[0], G1[0] - G0[1]
+    s01, s02, s12 = G0[1] + G1[0], G0[2] + G2[0], G1[2] + G2[1]
     gw = 2 * (x * d21 + y * d02 + z * d10)
-    gx = 2 * (-2 * x * (G[4] + G[8]) + y * s01 + z * s02 + w * d21)
-    gy = 2 * (x * s01 - 2 * y * (G[0] + G[8]) + z * s12 + w * d02)
-    gz = 2 * (x * s02 + y * s12 - 2 * z * (G[0] + G[4]) + w * d10)
+    gx = 2 * (-2 * x * (G1[1] + G2[2]) + y * s01 + z * s02 + w * d21)
+    gy = 2 * (x * s01 - 2 * y * (G0[0] + G2[2]) + z * s12 + w * d02)
+    gz = 2 * (x * s02 + y * s12 - 2 * z * (G0[0] + G1[1]) + w * d10)
     radial = gw * w + gx * x + gy * y + gz * z
     return (gw - radial * w) * scale, (gx - radial * x) * scale, (gy - radial * y) * scale, (gz - radial * z) * scale
 
 
 @njit(inline="always", **JIT)
-def gaussian_gradient(  # type: ignore[no-untyped-def]
-    M, k, means, log_scales, quats, logits, R_cw, t_cw, code, intr, low_pass, low, out, row, tau
-):
-    """Gaussian k: its moment sums M -> out[row, row] (PARAMETERS,); its share of the pose gradient joins tau (6,)."""
-    mx, my, mz = rotate(R_cw, float(means[k, 0]), float(means[k, 1]), float(means[k, 2]))
-    mu = (mx + t_cw[0], my + t_cw[1], mz + t_cw[2])
-    dist = np.sqrt(dot(mu, mu))
-    axes = axes_in_camera(quats, log_scales, k, R_cw)
-    C = camera_covariance(axes)
-    if code == SPHERE:
-        gC, gmu = _sphere_gradients(mu, C, M, dist, low)
+def _block(buf, n, R, t, code, intr, low_pass, low, pose):  # type: ignore[no-untyped-def]
+    """Gradients of the n Gaussians in a block's buffer from their parameters and moments; adds dL/dtau to pose (6,)."""
+    p0, p1, p2, p3, p4, p5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(np.uint64(n)):
+        mean = (float(buf[j + P[0]]), float(buf[j + P[1]]), float(buf[j + P[2]]))
+        q = (float(buf[j + P[6]]), float(buf[j + P[7]]), float(buf[j + P[8]]), float(buf[j + P[9]]))
+        S = (
+            float(buf[j + M[0]]), float(buf[j + M[1]]), float(buf[j + M[2]]), float(buf[j + M[3]]),
+            float(buf[j + M[4]]), float(buf[j + M[5]]), float(buf[j + M[6]]), float(buf[j + M[7]]),
+        )  # fmt: skip
+        turned = rotate(R, mean)
+        mu = (turned[0] + t[0], turned[1] + t[1], turned[2] + t[2])
+        dist = np.sqrt(dot(mu, mu))
+        axes = axes_in_camera(q, (buf[j + P[3]], buf[j + P[4]], buf[j + P[5]]), R)
+        C = camera_covariance(axes)
+        if code == SPHERE:
+            gC, gmu = _sphere_gradients(mu, C, S, dist, low)
+        else:
+            gC, gmu = _conic_gradients(mu, C, S, code, intr, low_pass)
+        f = buf[j + M[11]] / dist
+        gmu = (gmu[0] + f * mu[0], gmu[1] + f * mu[1], gmu[2] + f * mu[2])
+        # The pose moves mu_c and Sigma_c rigidly: dSigma = [w] Sigma - Sigma [w], A = Sigma dL/dSigma.
+        A0 = symmetric_times(gC, (C[0], C[1], C[2]))
+        A1, A2 = symmetric_times(gC, (C[1], C[3], C[4])), symmetric_times(gC, (C[2], C[4], C[5]))
+        # Sigma = sum_q s_q^2 a_q a_q^T: dL/d(log s_q) = 2 s_q^2 a_q.(gC a_q), dL/da_q = 2 s_q^2 gC a_q.
+        a0, a1, a2, s = axes
+        v0, v1, v2 = 2.0 * s[0] * s[0], 2.0 * s[1] * s[1], 2.0 * s[2] * s[2]
+        b0, b1, b2 = symmetric_times(gC, a0), symmetric_times(gC, a1), symmetric_times(gC, a2)
+        c0 = unrotate(R, (v0 * b0[0], v0 * b0[1], v0 * b0[2]))
+        c1 = unrotate(R, (v1 * b1[0], v1 * b1[1], v1 * b1[2]))
+        c2 = unrotate(R, (v2 * b2[0], v2 * b2[1], v2 * b2[2]))
+        gq = _quaternion_gradient(q, (c0[0], c1[0], c2[0]), (c0[1], c1[1], c2[1]), (c0[2], c1[2], c2[2]))
+        gm = unrotate(R, gmu)
+        o = 1.0 / (1.0 + exp_fast(-buf[j + P[10]]))
+        p0 += gmu[0]
+        p1 += gmu[1]
+        p2 += gmu[2]
+        p3 += mu[1] * gmu[2] - mu[2] * gmu[1] + 2.0 * (A1[2] - A2[1])
+        p4 += mu[2] * gmu[0] - mu[0] * gmu[2] + 2.0 * (A2[0] - A0[2])
+        p5 += mu[0] * gmu[1] - mu[1] * gmu[0] + 2.0 * (A0[1] - A1[0])
+        buf[j + G[0]], buf[j + G[1]], buf[j + G[2]] = gm
+        buf[j + G[3]], buf[j + G[4]], buf[j + G[5]] = v0 * dot(a0, b0), v1 * dot(a1, b1), v2 * dot(a2, b2)
+        buf[j + G[6]], buf[j + G[7]], buf[j + G[8]], buf[j + G[9]] = gq
+        buf[j + G[10]] = S[0] * (1.0 - o)
+        buf[j + G[11]], buf[j + G[12]], buf[j + G[13]] = buf[j + M[8]], buf[j + M[9]], buf[j + M[10]]
+    pose[0] += p0
+    pose[1] += p1
+    pose[2] += p2
+    pose[3] += p3
+    pose[4] += p4
+    pose[5] += p5
+
+
+@njit(**JIT)
+def gradient_block(buf, n, R, t, code, intr, low_pass, low, pose):  # type: ignore[no-untyped-def]
+    if code == SPHERE:  # alone, without the other projections' branches, this is vectorised
+        _block(buf, n, R, t, SPHERE, intr, low_pass, low, pose)
     else:
-        gC, gmu = _conic_gradients(mu, C, M, code, intr, low_pass)
-    f = M[11] / dist
-    gmu = (gmu[0] + f * mu[0], gmu[1] + f * mu[1], gmu[2] + f * mu[2])
-    # The pose moves mu_c and Sigma_c rigidly: dSigma = [w] Sigma - Sigma [w], A = Sigma dL/dSigma.
-    r0, r1, r2 = (C[0], C[1], C[2]), (C[1], C[3], C[4]), (C[2], C[4], C[5])
-    A0, A1, A2 = symmetric_times(gC, r0), symmetric_times(gC, r1), symmetric_times(gC, r2)
-    tau[0] += gmu[0]
-    tau[1] += gmu[1]
-    tau[2] += gmu[2]
-    tau[3] += mu[1] * gmu[2] - mu[2] * gmu[1] + 2.0 * (A1[2] - A2[1])
-    tau[4] += mu[2] * gmu[0] - mu[0] * gmu[2] + 2.0 * (A2[0] - A0[2])
-    tau[5] += mu[0] * gmu[1] - mu[1] * gmu[0] + 2.0 * (A0[1] - A1[0])
-    for i in range(3):
-        out[row, i] = R_cw[0, i] * gmu[0] + R_cw[1, i] * gmu[1] + R_cw[2, i] * gmu[2]
-    # Sigma = sum_q s_q^2 a_q a_q^T: dL/d(log s_q) = 2 s_q^2 a_q.(gC a_q), dL/da_q = 2 s_q^2 gC a_q.
-    a0, a1, a2, s = axes
-    v0, v1, v2 = 2.0 * s[0] * s[0], 2.0 * s[1] * s[1], 2.0 * s[2] * s[2]
-    b0, b1, b2 = symmetric_times(gC, a0), symmetric_times(gC, a1), symmetric_times(gC, a2)
-    out[row, 3], out[row, 4], out[row, 5] = v0 * dot(a0, b0), v1 * dot(a1, b1), v2 * dot(a2, b2)
-    G = (
-        v0 * (R_cw[0, 0] * b0[0] + R_cw[1, 0] * b0[1] + R_cw[2, 0] * b0[2]),
-        v1 * (R_cw[0, 0] * b1[0] + R_cw[1, 0] * b1[1] + R_cw[2, 0] * b1[2]),
-        v2 * (R_cw[0, 0] * b2[0] + R_cw[1, 0] * b2[1] + R_cw[2, 0] * b2[2]),
-        v0 * (R_cw[0, 1] * b0[0] + R_cw[1, 1] * b0[1] + R_cw[2, 1] * b0[2]),
-        v1 * (R_cw[0, 1] * b1[0] + R_cw[1, 1] * b1[1] + R_cw[2, 1] * b1[2]),
-        v2 * (R_cw[0, 1] * b2[0] + R_cw[1, 1] * b2[1] + R_cw[2, 1] * b2[2]),
-        v0 * (R_cw[0, 2] * b0[0] + R_cw[1, 2] * b0[1] + R_cw[2, 2] * b0[2]),
-        v1 * (R_cw[0, 2] * b1[0] + R_cw[1, 2] * b1[1] + R_cw[2, 2] * b1[2]),
-        v2 * (R_cw[0, 2] * b2[0] + R_cw[1, 2] * b2[1] + R_cw[2, 2] * b2[2]),
-    )
-    out[row, 6], out[row, 7], out[row, 8], out[row, 9] = _quaternion_gradient(
-        (quats[k, 0], quats[k, 1], quats[k, 2], quats[k, 3]), G
-    )
-    o = 1.0 / (1.0 + np.exp(-float(logits[k])))
-    out[row, 10] = M[0] * (1.0 - o)
-    for c in range(3):
-        out[row, 11 + c] = M[8 + c]
+        _block(buf, n, R, t, code, intr, low_pass, low, pose)
 
 
-@njit(inline="always", **JIT)
-def sum_moments(moments, k, M):  # type: ignore[no-untyped-def]
-    """Moments of Gaussian k summed over threads into M (MOMENTS,); False if nothing reached it."""
-    size = 0.0
-    for i in range(MOMENTS):
-        m = 0.0
-        for t in range(moments.shape[0]):
-            m += moments[t, k, i]
-        M[i] = m
-        size += abs(m)
-    return size != 0.0
+@njit(**JIT)
+def load_touched(buf, ids, k, end, moments, means, log_scales, quats, logits, colours):  # type: ignore[no-untyped-def]
+    """Fill a block with Gaussians from k on, below ``end``, that any pixel touched, and their moments.
+
+    Returns how many there are, their numbers in ids, and where the next block begins. Moments are summed over threads.
+    """
+    threads, n = moments.shape[0], 0
+    while k < end and n < BLOCK:
+        size = np.float32(0.0)
+        for i in range(MOMENTS):
+            m = moments[0, k, i]
+            for t in range(1, threads):
+                m += moments[t, k, i]
+            buf[n + M[i]] = m
+            size += abs(m)
+        if size != 0.0:
+            load_parameters(buf, n, k, means, log_scales, quats, logits, colours)
+            ids[n] = k
+            n += 1
+        k += 1
+    return n, k
 
 
 @njit(**PARALLEL)
 def parameter_gradients(  # type: ignore[no-untyped-def]
-    moments, means, log_scales, quats, logits, R_cw, t_cw, code, intr, pixel_angle, low_pass, grads, pose
+    moments, means, log_scales, quats, logits, colours, R_cw, t_cw, code, intr, pixel_angle, low_pass, grads, pose
 ):
     """Chain rule for moments (threads, N, MOMENTS): writes grads (N, PARAMETERS) and pose (threads, 6).
 
-    pose is dL/dtau for mu_c <- exp(tau) mu_c, tau = (translation, rotation), summed per thread.
+    pose is dL/dtau for mu_c <- exp(tau) mu_c, tau = (translation, rotation), summed per thread. Rows of Gaussians no
+    pixel touched are left alone.
     """
-    threads, n = moments.shape[0], means.shape[0]
-    share = (n + threads - 1) // threads
+    threads, count = moments.shape[0], means.shape[0]
+    share = (count + threads - 1) // threads
     low = low_pass * pixel_angle * pixel_angle
     for th in prange(threads):
-        M, tau = np.empty(MOMENTS), np.zeros(6)
-        for k in range(th * share, min((th + 1) * share, n)):
-            if sum_moments(moments, k, M):
-                gaussian_gradient(
-                    M, k, means, log_scales, quats, logits, R_cw, t_cw, code, intr, low_pass, low, grads, k, tau
-                )
+        buf, ids, tau = np.empty(CHAIN_CHANNELS * BLOCK, np.float32), np.empty(BLOCK, np.int64), np.zeros(6)
+        R, t = rows_of(R_cw), (t_cw[0], t_cw[1], t_cw[2])
+        k, end = th * share, min((th + 1) * share, count)
+        while k < end:
+            n, k = load_touched(buf, ids, k, end, moments, means, log_scales, quats, logits, colours)
+            gradient_block(buf, n, R, t, code, intr, low_pass, low, tau)
+            for j in range(n):
+                for i in range(PARAMETERS):
+                    grads[ids[j], i] = buf[j + G[i]]
         for i in range(6):
             pose[th, i] = tau[i]

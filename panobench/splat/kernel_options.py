@@ -25,6 +25,8 @@ JIT: dict[str, Any] = {
     "boundscheck": False,
 }
 PARALLEL: dict[str, Any] = {**JIT, "parallel": True}
+#: For what inner loops call: a call that is left is a loop that is not vectorised.
+INLINE: dict[str, Any] = {**JIT, "forceinline": True}
 #: For inner loops that only ever see finite numbers.
 JIT_FINITE: dict[str, Any] = {**JIT, "fastmath": True}
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
-from panobench.splat import blend, chain, project
+from panobench.splat import binning, blend, chain, project
+from panobench.splat.block import PARAMETERS
 from panobench.splat.gaussians import F32, GaussianMap
-from panobench.splat.kernel_options import PACK, TILE_H, TILE_W
+from panobench.splat.kernel_options import PACK
 from panobench.splat.view import CONIC_ERP, Projection, View, make_view
 
 #: Columns of the moments that belong to the colours.
@@ -160,16 +161,16 @@ class Renderer:
         project.project(
             gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.colours,
             R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, self.low_pass, self.near,
-            sloped, packed, rows, cols, key,
+            sloped, packed, rows, cols, key, self.threads,
         )  # fmt: skip
-        order = project.radix_order(key)
-        packed, rows, cols = project.gather(order, packed, rows, cols)
+        order = binning.radix_order(key)
+        packed, rows, cols = binning.gather(order, packed, rows, cols)
         drawn = np.ones(v.tiles_x * v.tiles_y, np.bool_)
         if tiles is not None:
             drawn[:] = False
             drawn[tiles] = True
-        starts, entries = project.bin_tiles(
-            packed, rows, cols, v.width, TILE_W, TILE_H, v.tiles_x, v.tiles_y, v.bound, v.cones, drawn, self.threads
+        starts, entries = binning.bin_tiles(
+            packed, rows, cols, v.width, v.tiles_x, v.tiles_y, v.bound, v.cones, drawn, self.threads
         )
         tiles = self.all_tiles() if tiles is None else tiles
         new = np.empty if len(tiles) == v.tiles_x * v.tiles_y else np.zeros
@@ -201,10 +202,10 @@ class Renderer:
         dc = np.ascontiguousarray(d_colour if planar else np.moveaxis(d_colour, -1, 0), dtype=np.float32)
         back = self.moments(dc, d_depth, d_opacity)
         g = back.gaussians
-        packed = np.zeros((len(g), chain.PARAMETERS), np.float32)
+        packed = np.zeros((len(g), PARAMETERS), np.float32)
         pose = np.zeros((self.threads, 6))
         chain.parameter_gradients(
-            back.moments, g.means, g.log_scales, g.quats, g.opacity_logits,
+            back.moments, g.means, g.log_scales, g.quats, g.opacity_logits, g.colours,
             back.R_cw, back.t_cw, v.projection, v.intrinsics, v.pixel_angle, self.low_pass, packed, pose,
         )  # fmt: skip
         return Gradients(packed, pose.sum(axis=0))
