@@ -13,6 +13,7 @@ from panobench.splat.kernel_options import INLINE, JIT, JIT_FINITE
 ERP, PINHOLE = 0, 1
 _PI = np.float32(np.pi)
 _HALF_PI = np.float32(np.pi / 2)
+_I0 = np.int32(0)
 _HALF, PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 
 
@@ -149,3 +150,53 @@ def sample_slope(image, u, v, code):  # type: ignore[no-untyped-def]
 def sample(image, u, v, code):  # type: ignore[no-untyped-def]
     """The value alone of ``sample_slope``."""
     return sample_slope(image, u, v, code)[0]
+
+
+@njit(**JIT)
+def _sample_panorama(image, w, h, u, v, out):  # type: ignore[no-untyped-def]
+    """``sample`` at many pixels of a panorama, image flat (h w,)."""
+    last, bottom = np.int32(w - 1), np.int32(h - 1)
+    for k in range(len(u)):
+        fu, fv = u[k] - _HALF, v[k] - _HALF
+        bu, bv = np.floor(fu), np.floor(fv)
+        a, b = fu - bu, fv - bv
+        x0, y0 = np.int32(bu), np.int32(bv)
+        x1, y1 = x0 + np.int32(1), y0 + np.int32(1)
+        x0 = x0 + np.int32(w) if x0 < 0 else (x0 - np.int32(w) if x0 > last else x0)
+        x1 = x1 + np.int32(w) if x1 < 0 else (x1 - np.int32(w) if x1 > last else x1)
+        x0, x1 = min(max(x0, _I0), last), min(max(x1, _I0), last)
+        y0, y1 = min(max(y0, _I0), bottom) * np.int32(w), min(max(y1, _I0), bottom) * np.int32(w)
+        p00, p01 = image[np.uint32(y0 + x0)], image[np.uint32(y0 + x1)]
+        p10, p11 = image[np.uint32(y1 + x0)], image[np.uint32(y1 + x1)]
+        top, low = p00 + a * (p01 - p00), p10 + a * (p11 - p10)
+        out[k] = top + b * (low - top)
+
+
+@njit(**JIT)
+def _sample_pinhole(image, w, h, u, v, out):  # type: ignore[no-untyped-def]
+    """``sample`` at many pixels of a pinhole image, image flat (h w,)."""
+    last, bottom = np.int32(w - 2), np.int32(h - 2)
+    for k in range(len(u)):
+        fu, fv = u[k] - _HALF, v[k] - _HALF
+        bu, bv = np.floor(fu), np.floor(fv)
+        a, b = fu - bu, fv - bv
+        inside = (bu >= 0) & (bv >= 0) & (bu <= last) & (bv <= bottom)
+        x, y = np.int32(bu) if inside else _I0, np.int32(bv) if inside else _I0
+        i = y * np.int32(w) + x
+        j = i + np.int32(w)
+        p00, p01 = image[np.uint32(i)], image[np.uint32(i + np.int32(1))]
+        p10, p11 = image[np.uint32(j)], image[np.uint32(j + np.int32(1))]
+        top, low = p00 + a * (p01 - p00), p10 + a * (p11 - p10)
+        out[k] = top + b * (low - top) if inside else np.float32(np.nan)
+
+
+@njit(**JIT)
+def sample_run(image, u, v, code, out):  # type: ignore[no-untyped-def]
+    """``sample`` at pixels (u, v) (n,), several at a time; image (h, w) contiguous."""
+    h, w = image.shape
+    if h < 2 or w < 2:
+        out[: len(u)] = np.float32(np.nan)
+    elif code == 0:
+        _sample_panorama(image.reshape(-1), w, h, u, v, out)
+    else:
+        _sample_pinhole(image.reshape(-1), w, h, u, v, out)

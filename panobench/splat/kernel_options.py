@@ -7,9 +7,11 @@ from typing import Any
 
 import numba
 
-# OpenMP workers otherwise spin between kernels: they burn a core while a method rests, and stall each other when
-# several runs share a machine. Read once, when the first parallel kernel loads the runtime.
+# OpenMP workers would otherwise spin between kernels for milliseconds: they burn a core while a method rests, and stall
+# each other when several runs share a machine. Not spinning at all costs 60 us a kernel, which is what many kernels
+# take; libgomp is therefore told to spin for about 0.2 ms. Read once, when the first parallel kernel loads the runtime.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+os.environ.setdefault("GOMP_SPINCOUNT", "5000")
 
 # The same layer whether or not a machine happens to have TBB, whose workers spin for a while after each kernel.
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
