@@ -15,16 +15,18 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, se3_exp
+from panobench.photometric.normal import add_rotation_rows, add_translation_rows
 from panobench.photometric.pyramid import F32
-from panobench.photometric.warp import PER_TURN, dot3, project, sample_slope
+from panobench.photometric.warp import PER_TURN, project, sample_run
 from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
 
 #: Runs of pixels whose sums are taken apart: the same for every number of threads, so that the sums are too.
-_BLOCKS = 16
+_BLOCKS = 8
 #: Pixels worked together.
-_TOGETHER = 128
+_TOGETHER = 256
 #: Relative gain of an iteration below which it was the last.
 _SMALL = 1e-4
+_F0, _F1, _HALF, _OUTSIDE, _NAN = np.float32(0), np.float32(1), np.float32(0.5), np.float32(10), np.float32(np.nan)
 
 
 @dataclass(frozen=True)
@@ -90,62 +92,72 @@ def _jacobians(points, R, t, code, cam, gx, gy, J, jd):  # type: ignore[no-untyp
 
 
 @njit(**JIT)
+def _robust(seen, value, huber, cut, r, w, gx, gy, cost, size):  # type: ignore[no-untyped-def]
+    """Samples and slopes -> residuals r, Huber weights w, sizes |r|; adds to the pixels' costs.
+
+    What is unknown (NaN: masked or outside) or beyond ``cut`` pulls nothing and costs what one at the cut does.
+    """
+    unseen = huber * (cut - _HALF * huber)
+    for k in range(len(value)):
+        e = seen[k] - value[k]
+        a = abs(e)
+        known = a + abs(gx[k]) + abs(gy[k]) < _OUTSIDE
+        used = known & (a <= cut)
+        size[k] = a if known else _NAN
+        linear = a > huber
+        cost[k] += (huber * (a - _HALF * huber) if linear else _HALF * a * a) if used else unseen
+        w[k] = (huber / a if linear else _F1) if used else _F0
+        r[k] = e if used else _F0
+        gx[k], gy[k] = gx[k] if used else _F0, gy[k] if used else _F0
+
+
+@njit(**JIT)
+def _depth_rows(w, r, J, jd, Hpd, Hdd, bd):  # type: ignore[no-untyped-def]
+    """Add the pixels' own share: Hdd, bd (n,); Hpd (6, n) is written."""
+    for k in range(len(w)):
+        wd = w[k] * jd[k]
+        Hdd[k] += wd * jd[k]
+        bd[k] += wd * r[k]
+    for i in range(6):
+        for k in range(len(w)):
+            Hpd[i, k] = w[k] * J[i, k] * jd[k]
+
+
+@njit(**JIT)
 def _residuals_of(  # type: ignore[no-untyped-def]
-    block, first, last, value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size
+    first, last, value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size
 ):
-    """Pixels ``first`` to ``last`` - 1 of ``_residuals``, some at a time so that all but the sampling is vectors."""
-    unseen = huber * (cut - np.float32(0.5) * huber)
-    u, v = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
-    r, w = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
+    """Pixels ``first`` to ``last`` - 1 of ``_residuals``, some at a time so that all is vectors."""
+    u, v, seen = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
+    r, w, jd = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
     gx, gy = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
-    J, jd = np.empty((6, _TOGETHER), np.float32), np.empty(_TOGETHER, np.float32)
+    J = np.empty((6, _TOGETHER), np.float32)
     for lo in range(first, last, _TOGETHER):
-        m = min(lo + _TOGETHER, last) - lo
-        X = points[:, lo : lo + m]
+        hi = min(lo + _TOGETHER, last)
+        m = hi - lo
+        X = points[:, lo:hi]
         for f in range(frames.shape[0]):
             project(X[0], X[1], X[2], R[f], t[f], code, cam, u, v)
-            for k in range(m):
-                seen, sx, sy = sample_slope(frames[f], u[k], v[k], code)
-                e = seen - value[lo + k]
-                a = abs(e)
-                known = a + abs(sx) + abs(sy) < 10  # not NaN: masked or outside
-                size[f, lo + k] = a if known else np.float32(np.nan)
-                if not known or a > cut:
-                    cost[lo + k] += unseen
-                    r[k], w[k], gx[k], gy[k] = np.float32(0), np.float32(0), np.float32(0), np.float32(0)
-                    continue
-                r[k], gx[k], gy[k] = e, sx, sy
-                if a <= huber:
-                    w[k] = np.float32(1)
-                    cost[lo + k] += np.float32(0.5) * e * e
-                else:
-                    w[k] = huber / a
-                    cost[lo + k] += huber * (a - np.float32(0.5) * huber)
+            sample_run(frames[f], u[:m], v[:m], code, seen, gx, gy)
+            _robust(seen, value[lo:hi], huber, cut, r, w, gx, gy, cost[lo:hi], size[f, lo:hi])
             _jacobians(X, R[f], t[f], code, cam, gx[:m], gy[:m], J, jd)
-            for k in range(m):
-                Hdd[lo + k] += w[k] * jd[k] * jd[k]
-                bd[lo + k] += w[k] * jd[k] * r[k]
-            q = 0
-            for i in range(6):
-                for k in range(m):
-                    Hpd[f, i, lo + k] = w[k] * J[i, k] * jd[k]
-                bp[block, f, i] += dot3(w[:m], J[i, :m], r[:m])
-                for j in range(i, 6):
-                    Hpp[block, f, q] += dot3(w[:m], J[i, :m], J[j, :m])
-                    q += 1
+            _depth_rows(w[:m], r, J, jd, Hpd[f, :, lo:hi], Hdd[lo:hi], bd[lo:hi])
+            add_translation_rows(w[:m], r, J, 0, Hpp[f], bp[f])
+            add_rotation_rows(w[:m], r, J, 0, Hpp[f], bp[f])
 
 
 @njit(**PARALLEL)
 def _residuals(value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size):  # type: ignore[no-untyped-def]
     """Normal equations, added to zeros. points (3, P): of the reference. Of every pixel: Hpd (F, 6, P), Hdd, bd (P,),
-    cost (P,), size (F, P): |residual|, NaN where unseen; summed over runs of pixels: Hpp (B, F, 21), bp (B, F, 6).
+    cost (P,), size (F, P): |residual|, NaN where unseen; summed over runs of pixels: Hpp (B, F, 6, 6) upper
+    triangles, bp (B, F, 6).
     """
     blocks = Hpp.shape[0]
     share = (len(value) + blocks - 1) // blocks
     for block in prange(blocks):
         _residuals_of(
-            block, block * share, min((block + 1) * share, len(value)),
-            value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size,
+            block * share, min((block + 1) * share, len(value)), value, points, frames, R, t, code, cam, huber, cut,
+            Hpd, Hdd, bd, Hpp[block], bp[block], cost, size,
         )  # fmt: skip
 
 
@@ -194,7 +206,7 @@ def refine(
     s, T = start, T_fr.copy()
 
     def linearise(T: NDArray[np.float64], s: NDArray[np.float64]) -> _System:
-        Hpd, bp, Hpp = np.empty((F, 6, n)), np.zeros((_BLOCKS, F, 6)), np.zeros((_BLOCKS, F, 21))
+        Hpd, bp, Hpp = np.empty((F, 6, n)), np.zeros((_BLOCKS, F, 6)), np.zeros((_BLOCKS, F, 6, 6))
         Hdd, bd, cost, size = np.zeros(n), np.zeros(n), np.zeros(n), np.empty((F, n), np.float32)
         R, t = T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32)
         points = (r.T * np.exp(s)).astype(np.float32)
@@ -248,12 +260,9 @@ class _System:
 
     def reduced(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """H (6F, 6F) and b (6F,) over the poses with the depths eliminated, and the inverse of Hdd (n,)."""
-        F, upper = len(self.Hpp), np.triu_indices(6)
-        blocks = np.zeros((F, 6, 6))
-        blocks[:, upper[0], upper[1]] = self.Hpp
-        blocks[:, upper[1], upper[0]] = self.Hpp
+        F = len(self.Hpp)
         H = np.zeros((F, 6, F, 6))
-        H[np.arange(F), :, np.arange(F), :] = blocks
+        H[np.arange(F), :, np.arange(F), :] = self.Hpp + np.triu(self.Hpp, 1).swapaxes(1, 2)
         A = H.reshape(6 * F, 6 * F)
         A[np.diag_indices(6 * F)] *= 1 + damping
         inverse = 1.0 / (self.Hdd * (1 + damping) + 1e-6)

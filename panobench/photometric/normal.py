@@ -60,7 +60,7 @@ def _count(size, weight, bins):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT_FINITE)
-def _translation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
+def add_translation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
     """Rows 0-2 of the upper triangle of sum w J J^T over six unknowns, and of sum w J r."""
     h00, h01, h02, h03, h04, h05 = _F0, _F0, _F0, _F0, _F0, _F0
     h11, h12, h13, h14, h15, h22, h23, h24, h25 = _F0, _F0, _F0, _F0, _F0, _F0, _F0, _F0, _F0
@@ -98,8 +98,8 @@ def _translation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT_FINITE)
-def _rotation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
-    """Rows 3-5, see ``_translation_rows``."""
+def add_rotation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
+    """Rows 3-5, see ``add_translation_rows``."""
     h33, h34, h35, h44, h45, h55, b3, b4, b5 = _F0, _F0, _F0, _F0, _F0, _F0, _F0, _F0, _F0
     for k in range(len(w)):
         j3, j4, j5 = J[3, lo + k], J[4, lo + k], J[5, lo + k]
@@ -177,17 +177,18 @@ def _sums(  # type: ignore[no-untyped-def]
     """
     u, v, e = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
     r, w, size = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    du, dv = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
     for lo in range(first, last, _BLOCK):
         hi = min(lo + _BLOCK, last)
         m = hi - lo
         project(points[0, lo:hi], points[1, lo:hi], points[2, lo:hi], R, t, code, cam, u, v)
-        sample_run(image, u[:m], v[:m], code, e)
+        sample_run(image, u[:m], v[:m], code, e, du, dv)
         cost, seen = _robust(e[:m], value[lo:hi], weight[lo:hi], g, off, huber, cut, r, w, size)
         totals[0] += cost
         totals[1] += seen
         _count(size[:m], weight[lo:hi], bins)
-        _translation_rows(w[:m], r, jacobian, lo, A, b)
-        _rotation_rows(w[:m], r, jacobian, lo, A, b)
+        add_translation_rows(w[:m], r, jacobian, lo, A, b)
+        add_rotation_rows(w[:m], r, jacobian, lo, A, b)
         if exposure:
             _exposure_columns(w[:m], r, jacobian, value[lo:hi], lo, A, b)
 

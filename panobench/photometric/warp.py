@@ -107,15 +107,6 @@ def project(X, Y, Z, R, t, code, cam, u, v):  # type: ignore[no-untyped-def]
         project_pinhole(X, Y, Z, R, t, cam, u, v)
 
 
-@njit(**JIT_FINITE)
-def dot3(a, b, c):  # type: ignore[no-untyped-def]
-    """Sum of the products of three vectors."""
-    s = np.float32(0)
-    for k in range(len(a)):
-        s += a[k] * b[k] * c[k]
-    return s
-
-
 @njit(**JIT)
 def sample_slope(image, u, v, code):  # type: ignore[no-untyped-def]
     """Bilinear value at (u, v) and its derivatives by u and v, from the same four pixels.
@@ -153,8 +144,8 @@ def sample(image, u, v, code):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def _sample_panorama(image, w, h, u, v, out):  # type: ignore[no-untyped-def]
-    """``sample`` at many pixels of a panorama, image flat (h w,)."""
+def _sample_panorama(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
+    """``sample_slope`` at many pixels of a panorama, image flat (h w,)."""
     last, bottom = np.int32(w - 1), np.int32(h - 1)
     for k in range(len(u)):
         fu, fv = u[k] - _HALF, v[k] - _HALF
@@ -168,14 +159,15 @@ def _sample_panorama(image, w, h, u, v, out):  # type: ignore[no-untyped-def]
         y0, y1 = min(max(y0, _I0), bottom) * np.int32(w), min(max(y1, _I0), bottom) * np.int32(w)
         p00, p01 = image[np.uint32(y0 + x0)], image[np.uint32(y0 + x1)]
         p10, p11 = image[np.uint32(y1 + x0)], image[np.uint32(y1 + x1)]
-        top, low = p00 + a * (p01 - p00), p10 + a * (p11 - p10)
-        out[k] = top + b * (low - top)
+        left, right = p01 - p00, p11 - p10
+        top, low = p00 + a * left, p10 + a * right
+        out[k], du[k], dv[k] = top + b * (low - top), left + b * (right - left), low - top
 
 
 @njit(**JIT)
-def _sample_pinhole(image, w, h, u, v, out):  # type: ignore[no-untyped-def]
-    """``sample`` at many pixels of a pinhole image, image flat (h w,)."""
-    last, bottom = np.int32(w - 2), np.int32(h - 2)
+def _sample_pinhole(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
+    """``sample_slope`` at many pixels of a pinhole image, image flat (h w,)."""
+    last, bottom = np.float32(w - 2), np.float32(h - 2)
     for k in range(len(u)):
         fu, fv = u[k] - _HALF, v[k] - _HALF
         bu, bv = np.floor(fu), np.floor(fv)
@@ -186,17 +178,19 @@ def _sample_pinhole(image, w, h, u, v, out):  # type: ignore[no-untyped-def]
         j = i + np.int32(w)
         p00, p01 = image[np.uint32(i)], image[np.uint32(i + np.int32(1))]
         p10, p11 = image[np.uint32(j)], image[np.uint32(j + np.int32(1))]
-        top, low = p00 + a * (p01 - p00), p10 + a * (p11 - p10)
+        left, right = p01 - p00, p11 - p10
+        top, low = p00 + a * left, p10 + a * right
         out[k] = top + b * (low - top) if inside else np.float32(np.nan)
+        du[k], dv[k] = left + b * (right - left), low - top
 
 
 @njit(**JIT)
-def sample_run(image, u, v, code, out):  # type: ignore[no-untyped-def]
-    """``sample`` at pixels (u, v) (n,), several at a time; image (h, w) contiguous."""
+def sample_run(image, u, v, code, out, du, dv):  # type: ignore[no-untyped-def]
+    """``sample_slope`` at pixels (u, v) (n,), several at a time; image (h, w) contiguous."""
     h, w = image.shape
     if h < 2 or w < 2:
         out[: len(u)] = np.float32(np.nan)
     elif code == 0:
-        _sample_panorama(image.reshape(-1), w, h, u, v, out)
+        _sample_panorama(image.reshape(-1), w, h, u, v, out, du, dv)
     else:
-        _sample_pinhole(image.reshape(-1), w, h, u, v, out)
+        _sample_pinhole(image.reshape(-1), w, h, u, v, out, du, dv)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -110,7 +111,8 @@ class PanogsMethod(OnlineMethod):
 
     def _blank(self, image: NDArray[np.uint8]) -> bool:
         """Nothing to align or to map: a closed shutter, a saturated sensor, fog."""
-        return bool(image[self.tracker.valid].std(axis=0).max() < BLANK_LEVELS)
+        _, deviation = cv2.meanStdDev(image, mask=self.tracker.valid.view(np.uint8))
+        return bool(deviation.max() < BLANK_LEVELS)
 
     def _skip(self, frame: Frame) -> None:
         """No pose for this frame; the motion before it is taken to go on."""
@@ -262,14 +264,13 @@ class PanogsMethod(OnlineMethod):
         depth: of the scene. Windows may wait for the others, but not for long.
         """
         look, before = self.look_back, len(self.mapper.map)
-        busy = look.waiting or look.due
-        if look.waiting:
+        if self.backend.overdue() or not (look.waiting or look.due):
+            self._adjust()
+        elif look.waiting:
             look.settle(self._pose, self._move)
             self._draw_new(before, at_once=False)
-        elif look.due:
+        else:
             look.sweep(self._pose, depth)
-        if not busy or self.backend.overdue():
-            self._adjust()
 
     def _close_loop(self, view: View, thumbnail: Thumbnail) -> float:
         """Look for a loop at the newest keyframe and close it; returns by how much the scale there changed."""
