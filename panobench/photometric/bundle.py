@@ -7,7 +7,7 @@ it is eliminated by the Schur complement (Engel et al., "Direct sparse odometry"
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -26,6 +26,9 @@ _BLOCKS = 8
 _TOGETHER = 256
 #: Relative gain of an iteration below which it was the last.
 _SMALL = 1e-4
+#: Iterations with the nearest frames alone, and before the pixels that fit worst are left out.
+_NEAR_ITERATIONS, _BEFORE_TRIMMING = 6, 2
+Pose = NDArray[np.float64]
 _F0, _F1, _HALF, _OUTSIDE, _NAN = np.float32(0), np.float32(1), np.float32(0.5), np.float32(10), np.float32(np.nan)
 
 
@@ -33,7 +36,8 @@ _F0, _F1, _HALF, _OUTSIDE, _NAN = np.float32(0), np.float32(1), np.float32(0.5),
 class BundleOptions:
     """cell_px: one pixel, that with the largest gradient, per cell. huber, cut: residuals, in robust standard
     deviations at the start, where the cost turns linear and where a residual (an occlusion, say) stops counting;
-    sigma_min: least standard deviation assumed (of 1). depth_edge: as in alignment.
+    sigma_min: least standard deviation assumed (of 1). depth_edge: as in alignment. near: so many nearest frames are
+    adjusted alone first; 0: none. trim: share of the pixels, those that fit worst, that are left out.
     """
 
     cell_px: int = 3
@@ -44,6 +48,8 @@ class BundleOptions:
     cut: float = 20.0
     sigma_min: float = 0.002
     depth_edge: float = 1.1
+    trim: float = 0.0
+    near: int = 0
 
 
 @dataclass(frozen=True)
@@ -182,12 +188,71 @@ def select_pixels(
     return cy * c + best[cy, cx] // c, cx * c + best[cy, cx] % c
 
 
+@dataclass(frozen=True)
+class _Problem:
+    """What is adjusted: reference pixels by value (n,), ray (n, 3) and log depth ``start`` (n,), seen in ``frames``
+    (F, H, W); huber, cut: in the unit of the images.
+    """
+
+    value: F32
+    rays: F32
+    start: NDArray[np.float64]
+    frames: F32
+    code: int
+    cam: F32
+    huber: float = 10.0
+    cut: float = 10.0
+
+    def linearise(self, T: Pose, s: NDArray[np.float64]) -> _System:
+        F, n = len(self.frames), len(self.value)
+        Hpd, bp, Hpp = np.empty((F, 6, n)), np.zeros((_BLOCKS, F, 6)), np.zeros((_BLOCKS, F, 6, 6))
+        Hdd, bd, costs, size = np.zeros(n), np.zeros(n), np.zeros(n), np.empty((F, n), np.float32)
+        R, t = T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32)
+        points = (self.rays.T * np.exp(s)).astype(np.float32)
+        limits = np.float32(self.huber), np.float32(self.cut)
+        _residuals(
+            self.value, points, self.frames, R, t, self.code, self.cam, *limits, Hpd, Hdd, bd, Hpp, bp, costs, size
+        )
+        return _System(Hpd.reshape(6 * F, n), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), costs, size)
+
+    def calibrated(self, T: Pose, s: NDArray[np.float64], options: BundleOptions) -> tuple[_Problem, float] | None:
+        """With thresholds that follow the residuals, and their robust standard deviation; None if nothing is seen."""
+        size = self.linearise(T, s).size
+        if not np.isfinite(size).any():
+            return None
+        sigma = max(1.4826 * float(np.nanmedian(size)), options.sigma_min)
+        return replace(self, huber=options.huber * sigma, cut=options.cut * sigma), sigma
+
+    def only(self, keep: NDArray[np.bool_]) -> _Problem:
+        """These pixels alone."""
+        return replace(self, value=self.value[keep], rays=self.rays[keep], start=self.start[keep])
+
+    def descend(self, T: Pose, s: NDArray[np.float64], iterations: int) -> tuple[Pose, NDArray[np.float64], _System]:
+        """Levenberg-Marquardt from poses T (F, 4, 4) and log depths s (n,), and the system where it ends."""
+        now, damping = self.linearise(T, s), 1e-3
+        for _ in range(iterations):
+            x, ds = now.step(damping)
+            T_new, s_new = renormalise(se3_exp(x.reshape(-1, 6)) @ T), s + np.clip(ds, -0.3, 0.3)
+            trial = self.linearise(T_new, s_new)
+            if trial.cost < now.cost:
+                small = now.cost - trial.cost < _SMALL * now.cost
+                T, s, now = T_new, s_new, trial
+                damping = max(damping * 0.3, 1e-6)
+                if small:
+                    break
+            else:
+                damping *= 10
+                if damping > 1e2:
+                    break
+        return T, s, now
+
+
 def refine(
     luma: F32,
     rays: F32,
     depth: F32,
     frames: F32,
-    T_fr: NDArray[np.float64],
+    T_fr: Pose,
     code: int,
     cam: F32,
     options: BundleOptions = BundleOptions(),
@@ -197,53 +262,53 @@ def refine(
     luma, depth (H, W), rays (H, W, 3) of the reference. Too few usable pixels: the poses as they came, not ``ok``.
     """
     ys, xs = select_pixels(luma, rays, depth, options)
-    n, F = len(ys), len(frames)
+    F = len(frames)
     nothing = Bundle(T_fr, np.inf, np.zeros((6 * F, 6 * F)), np.zeros(6 * F))
-    if n < 100:
+    if len(ys) < 100:
         return nothing
-    value, r = luma[ys, xs], np.ascontiguousarray(rays[ys, xs])
-    start = np.log(depth[ys, xs].astype(np.float64))
-    s, T = start, T_fr.copy()
-
-    def linearise(T: NDArray[np.float64], s: NDArray[np.float64]) -> _System:
-        Hpd, bp, Hpp = np.empty((F, 6, n)), np.zeros((_BLOCKS, F, 6)), np.zeros((_BLOCKS, F, 6, 6))
-        Hdd, bd, cost, size = np.zeros(n), np.zeros(n), np.zeros(n), np.empty((F, n), np.float32)
-        R, t = T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32)
-        points = (r.T * np.exp(s)).astype(np.float32)
-        limits = np.float32(huber), np.float32(cut)
-        _residuals(value, points, frames, R, t, code, cam, *limits, Hpd, Hdd, bd, Hpp, bp, cost, size)
-        return _System(Hpd.reshape(6 * F, n), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), float(cost.sum()), size)
-
-    huber = cut = 10.0
-    size = linearise(T, s).size
-    if not np.isfinite(size).any():
+    s, T = np.log(depth[ys, xs].astype(np.float64)), T_fr.copy()
+    problem = _Problem(luma[ys, xs], np.ascontiguousarray(rays[ys, xs]), s, frames, code, cam)
+    if 0 < options.near < F:
+        T, s = _from_near(problem, T, s, options)
+    found = problem.calibrated(T, s, options)
+    if found is None:
         return nothing
-    sigma = max(1.4826 * float(np.nanmedian(size)), options.sigma_min)
-    huber, cut = options.huber * sigma, options.cut * sigma
-    now, damping = linearise(T, s), 1e-3
-    for _ in range(options.iterations):
-        x, ds = now.step(damping)
-        T_new, s_new = renormalise(se3_exp(x.reshape(F, 6)) @ T), s + np.clip(ds, -0.3, 0.3)
-        trial = linearise(T_new, s_new)
-        if trial.cost < now.cost:
-            small = now.cost - trial.cost < _SMALL * now.cost
-            T, s, now = T_new, s_new, trial
-            damping = max(damping * 0.3, 1e-6)
-            if small:
-                break
-        else:
-            damping *= 10
-            if damping > 1e2:
-                break
-    # The scale is free: what the pixels changed by together, the best determined counting most, is taken back.
-    change = s - start
-    by_size, weights = np.argsort(change), np.maximum(now.Hdd, 0)
-    half = np.searchsorted(np.cumsum(weights[by_size]), 0.5 * weights.sum())
-    scale = float(np.exp(-change[by_size[min(half, n - 1)]]))
+    problem, sigma = found
+    if options.trim:
+        T, s, now = problem.descend(T, s, _BEFORE_TRIMMING)
+        keep = now.costs <= np.quantile(now.costs, 1 - options.trim)
+        problem, s = problem.only(keep), s[keep]
+    T, s, now = problem.descend(T, s, options.iterations)
+    scale = _taken_back(s - problem.start, now)
     T[:, :3, 3] *= scale
     A, b, _ = now.reduced(0.0)
     unit = np.tile(np.repeat([1.0 / scale, 1.0], 3), F)
-    return Bundle(T, now.cost / (n * F), A * unit[:, None] * unit / sigma**2, b * unit / sigma**2)
+    return Bundle(T, now.cost / now.size.size, A * unit[:, None] * unit / sigma**2, b * unit / sigma**2)
+
+
+def _from_near(
+    problem: _Problem, T: Pose, s: NDArray[np.float64], options: BundleOptions
+) -> tuple[Pose, NDArray[np.float64]]:
+    """Poses and log depths once the nearest frames have been adjusted alone.
+
+    Wrong depths are off by little there, by less than what the slope of an image reaches; in far frames by more.
+    """
+    near = np.argsort(np.linalg.norm(T[:, :3, 3], axis=1))[: options.near]
+    found = replace(problem, frames=problem.frames[near]).calibrated(T[near], s, options)
+    if found is None:
+        return T, s
+    T = T.copy()
+    T[near], s, now = found[0].descend(T[near], s, _NEAR_ITERATIONS)
+    scale = _taken_back(s - problem.start, now)
+    T[near, :3, 3] *= scale
+    return T, s + np.log(scale)
+
+
+def _taken_back(change: NDArray[np.float64], now: _System) -> float:
+    """The scale is free: the factor that undoes what all log depths changed by, the best determined counting most."""
+    by_size, weights = np.argsort(change), np.maximum(now.Hdd, 0)
+    half = np.searchsorted(np.cumsum(weights[by_size]), 0.5 * weights.sum())
+    return float(np.exp(-change[by_size[min(half, len(change) - 1)]]))
 
 
 @dataclass(frozen=True)
@@ -255,8 +320,12 @@ class _System:
     bd: NDArray[np.float64]
     Hpp: NDArray[np.float64]
     bp: NDArray[np.float64]
-    cost: float
+    costs: NDArray[np.float64]
     size: F32
+
+    @property
+    def cost(self) -> float:
+        return float(self.costs.sum())
 
     def reduced(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """H (6F, 6F) and b (6F,) over the poses with the depths eliminated, and the inverse of Hdd (n,)."""

@@ -33,15 +33,20 @@ def room() -> tuple[WorkingScale, list[F32], list[F32], Array]:
     return scale, luma, [d for d in depth if d is not None], T_wc
 
 
-def run(poses: list[Array], monkeypatch: pytest.MonkeyPatch, reach: int = 8, every: int = 4) -> Backend:
+def run(
+    poses: list[Array], monkeypatch: pytest.MonkeyPatch, reach: int = 8, every: int = 4, young: float = 1.0
+) -> Backend:
+    """``young``: the factor by which depth is wrong when a window is made for the first time."""
     monkeypatch.setattr(backend, "REACH", reach)
+    monkeypatch.setattr(backend, "AGAIN", 2 * reach)
     monkeypatch.setattr(backend, "EVERY", every)
     scale, luma, depth, _ = room()
-    b = Backend(scale)
+    b, visited = Backend(scale), set()
     for i in range(FRAMES):
         b.add(i, luma[i])
-        while (index := b.due(at_the_end=i == FRAMES - 1)) is not None:
-            b.adjust(lambda k: poses[k], depth[index])
+        while (k := b.due(at_the_end=i == FRAMES - 1)) is not None:
+            b.adjust(k, lambda n: poses[n], depth[k] * np.float32(1.0 if k in visited else young))
+            visited.add(k)
     return b
 
 
@@ -68,11 +73,23 @@ def test_every_frame_is_in_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set().union(*(set(w.frames.tolist()) for w in b.windows)) == set(range(FRAMES))
 
 
+@pytest.mark.parametrize(("young", "twice"), [(1.0, False), (1.005, False), (1.05, True)])
+def test_a_window_is_made_again_if_its_depth_has_changed(
+    young: float, twice: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+    make = Backend._make
+    monkeypatch.setattr(Backend, "_make", lambda self, k, *rest: (made.append(k), make(self, k, *rest)))
+    b = run(list(room()[3]), monkeypatch, young=young)
+    assert sorted(made) == sorted([0, 4, 8, 12, 16] * (2 if twice else 1))
+    assert sorted(w.reference for w in b.windows) == [0, 4, 8, 12, 16]
+
+
 def test_images_and_windows_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = list(room()[3])
     monkeypatch.setattr(backend, "LATE", 1)
     b = run(truth, monkeypatch, reach=3, every=2)
-    assert sum(f.luma is not None for f in b.frames) <= (2 * 3 + 2 + 1 + 1) + (3 + 1)
+    assert sum(f.luma is not None for f in b.frames) <= (3 * 3 + 2 + 1 + 1) + (3 + 1)
     monkeypatch.setattr(backend, "FREE", 6)
     fit = b.fit(lambda i: truth[i], 2.0)
     assert len(b.windows) < 7
@@ -94,8 +111,9 @@ def test_frames_tracked_backwards_and_those_after_them_share_windows(monkeypatch
     b = Backend(scale)
 
     def adjust(at_the_end: bool) -> None:
-        while (index := b.due(at_the_end=at_the_end)) is not None:
-            b.adjust(lambda k: start[k], depth[index])
+        while (k := b.due(at_the_end=at_the_end)) is not None:
+            index = b.frames[k].index
+            b.adjust(k, lambda i: start[i], depth[index])
 
     for i in range(10, FRAMES):
         b.add(i, luma[i])

@@ -22,9 +22,12 @@ from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log
 
 Pose = NDArray[np.float64]
 #: One pixel in 8 x 8, and five iterations: the poses are good when they come.
-OPTIONS = BundleOptions(cell_px=8, iterations=5, cut=5.0)
+OPTIONS = BundleOptions(cell_px=6, iterations=4, cut=5.0, trim=0.6, near=12)
 #: A reference every so many frames that moved, and how many frames on either side it is compared with.
 EVERY, REACH = 8, 24
+#: A window is made again, once so many frames have followed, if the map's depth has changed by this share since: the
+#: first view of a new room is mapped from little parallax.
+AGAIN, CHANGED = 2 * REACH, 0.01
 #: Frames a window may wait for other work.
 LATE = 4
 #: Frames whose poses a fit may change; windows before them are forgotten.
@@ -48,6 +51,7 @@ class Fit:
 class _Frame:
     index: int
     luma: F32 | None  # None once no window needs it
+    depth: F32 | None = None  # what its window was made with, at a fraction of the size
 
 
 class Backend:
@@ -57,12 +61,13 @@ class Backend:
         self.scale, self.laps = scale, laps
         self.frames: list[_Frame] = []
         self.windows: list[Window] = []
-        self._next, self._turned = 0, False
+        self.unfitted = False  # a window has come since the last fit
+        self._next, self._again, self._turned = 0, 0, False
 
     def add(self, index: int, luma: F32) -> None:
         """A frame by its index in the sequence, luma (h, w) at the working size."""
         self.frames.append(_Frame(index, luma))
-        old = len(self.frames) - 1 - 2 * REACH - EVERY - LATE
+        old = len(self.frames) - 1 - AGAIN - REACH - EVERY - LATE
         if old > REACH + 1:  # the very first are wanted again if frames before them are (``turn``)
             self.frames[old - 1].luma = None
 
@@ -71,40 +76,61 @@ class Backend:
         last = len(self.frames) - 1
         self.frames.reverse()
         self.windows = [Window(last - w.reference, last - w.frames, w.bundle) for w in self.windows]
-        self._next, self._turned = max(last, 0), True
+        self._next = self._again = max(last, 0)
+        self._turned = True
 
     def due(self, *, at_the_end: bool = False) -> int | None:
-        """Index of the frame that should get its window now: ``REACH`` frames have followed it, or none will."""
-        if self._next < len(self.frames) - (1 if at_the_end else REACH):
-            return self.frames[self._next].index
+        """Number of the frame that should get its window now: ``REACH`` frames have followed it, or none will."""
+        count = len(self.frames)
+        if self._next < count - (1 if at_the_end else REACH):
+            return self._next
+        if self._again < min(count - (1 if at_the_end else AGAIN), self._next):
+            return self._again
         return None
 
     def overdue(self) -> bool:
         """The window that is due has been for ``LATE`` frames."""
-        return self._next < len(self.frames) - REACH - LATE
+        count = len(self.frames)
+        return self._next < count - REACH - LATE or self._again < min(count - AGAIN - LATE, self._next)
 
-    def adjust(self, pose: Callable[[int], Pose], depth: F32) -> None:
-        """The window of the frame that is due; ``depth`` (H, W), radial, NaN where unknown; pose: index -> T_wc."""
-        k, s = self._next, self.scale
-        self._next += EVERY
-        target = self.frames[k]
+    def adjust(self, k: int, pose: Callable[[int], Pose], depth: F32) -> None:
+        """The window of frame ``k``, which is due; ``depth`` (H, W), radial, NaN where unknown; pose: index -> T_wc.
+
+        Its second visit makes it again only if the depth has changed much. Then the window is final and goes to laps.
+        """
+        s, again, target = self.scale, k != self._next, self.frames[k]
+        if again:
+            self._again += EVERY
+        else:
+            self._next += EVERY
+        if target.luma is None:
+            return
+        known = cv2.resize(depth, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.float32)
+        known = np.where(s.valid & np.isfinite(known), known, 0).astype(np.float32)
+        sample = known[:: s.valid.shape[0] // 32, :: s.valid.shape[1] // 64]
+        if not again or _changed(target.depth, sample):
+            target.depth = sample.copy()
+            self._make(k, known, pose)
+        if again and self.laps is not None and not self._turned:
+            window = next((w for w in self.windows if w.reference == k), None)
+            self.laps.add(k, self._small(target.luma), window and reduced(window, (window.frames - k) % EVERY == 0))
+            self.laps.look(lambda n: pose(self.frames[n].index), depth)
+
+    def _make(self, k: int, known: F32, pose: Callable[[int], Pose]) -> None:
+        """The window of frame ``k`` by its depth at the working size, 0 where unknown."""
+        s, target = self.scale, self.frames[k]
         near = [(n, self.frames[n]) for n in range(max(k - REACH, 0), min(k + REACH + 1, len(self.frames)))]
         others = [(n, f.luma) for n, f in near if n != k and f.luma is not None]
         if target.luma is None or not others:
             return
         numbers = np.array([n for n, _ in others])
-        known = cv2.resize(depth, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.float32)
-        known = np.where(s.valid & np.isfinite(known), known, 0).astype(np.float32)
         T_wr = pose(target.index)
         T_fr = np.stack([invert_pose(pose(self.frames[n].index)) @ T_wr for n in numbers])
         images = np.stack([luma for _, luma in others])
         bundle = refine(target.luma, s.rays, known, images, T_fr, s.code, s.cam, OPTIONS)
-        window = Window(k, numbers, bundle) if bundle.ok else None
-        if window is not None:
-            self.windows.append(window)
-        if self.laps is not None and not self._turned:
-            self.laps.add(k, self._small(target.luma), window and reduced(window, (numbers - k) % EVERY == 0))
-            self.laps.look(lambda n: pose(self.frames[n].index), depth)
+        if bundle.ok:
+            self.windows = [w for w in self.windows if w.reference != k] + [Window(k, numbers, bundle)]
+            self.unfitted = True
 
     def _small(self, luma: F32) -> F32:
         assert self.laps is not None
@@ -121,6 +147,7 @@ class Backend:
 
     def fit(self, pose: Callable[[int], Pose], depth: float) -> Fit:
         """What suits all windows, for the last ``FREE`` frames; those before stay. depth: the scene's."""
+        self.unfitted = False
         count = len(self.frames)
         free = max(count - FREE, 1)
         self.windows = [w for w in self.windows if max(w.reference, w.frames.max()) >= free]
@@ -138,6 +165,14 @@ class Backend:
         if self._turned:  # those before do not come first in the order of tracking: they must not follow
             poses |= {f.index: pose(f.index) for f in self.frames[:lo]}
         return Fit(poses, free_indices, float(np.exp(-np.mean(shrunk))))
+
+
+def _changed(before: F32 | None, after: F32) -> bool:
+    """By ``CHANGED`` or more, for the median pixel that is known in both."""
+    if before is None:
+        return True
+    both = (before > 0) & (after > 0)
+    return bool(both.any()) and float(np.median(np.abs(np.log(after[both] / before[both])))) > CHANGED
 
 
 def followed(before: dict[int, Pose], fitted: dict[int, Pose]) -> tuple[dict[int, Pose], Pose]:

@@ -174,6 +174,8 @@ class PanogsMethod(OnlineMethod):
         look = self.look_back
         look.settle(self._pose, self._move)
         self._adjust(at_the_end=True)
+        if self.backend.unfitted:
+            self._fit()
         self._settle(self.backend.close(self._pose, self.mapper.median_depth))
         look.sweep_last(self._pose, self.mapper.median_depth)
         look.settle(self._pose, self._move)
@@ -259,12 +261,14 @@ class PanogsMethod(OnlineMethod):
             m.work(len(m.todo))
 
     def _behind(self, depth: float) -> None:
-        """Work behind the tracker: one of its three longer jobs a frame, so that no frame waits for two.
+        """Work behind the tracker: one of its longer jobs a frame, so that no frame waits for two.
 
         depth: of the scene. Windows may wait for the others, but not for long.
         """
         look, before = self.look_back, len(self.mapper.map)
-        if self.backend.overdue() or not (look.waiting or look.due):
+        if self.backend.unfitted:
+            self._fit()
+        elif self.backend.overdue() or not (look.waiting or look.due):
             self._adjust()
         elif look.waiting:
             look.settle(self._pose, self._move)
@@ -295,14 +299,16 @@ class PanogsMethod(OnlineMethod):
         return scale
 
     def _adjust(self, *, at_the_end: bool = False) -> None:
-        """The windows of bundle adjustment that are due, and the poses that suit all windows."""
-        due = False
-        while (index := self.backend.due(at_the_end=at_the_end)) is not None:
-            render = self.renderer.forward(self.mapper.map, self._pose(index), sloped=True)
-            self.backend.adjust(self._pose, render.expected_depth(0.5))
-            due = True
-        if due:
-            self._settle(self.backend.fit(self._pose, self.mapper.median_depth))
+        """The windows of bundle adjustment that are due."""
+        while (k := self.backend.due(at_the_end=at_the_end)) is not None:
+            render = self.renderer.forward(self.mapper.map, self._pose(self.backend.frames[k].index), sloped=True)
+            self.backend.adjust(k, self._pose, render.expected_depth(0.5))
+            if not at_the_end:
+                break
+
+    def _fit(self) -> None:
+        """The poses that suit all windows."""
+        self._settle(self.backend.fit(self._pose, self.mapper.median_depth))
 
     def _settle(self, fit: Fit) -> None:
         """Give frames their fitted poses; the map and its keyframes go along."""
