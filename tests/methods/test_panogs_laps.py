@@ -23,6 +23,7 @@ ORDER = [*range(THERE), *range(THERE - 1, -1, -1)]
 def back_and_forth(drift: float, monkeypatch: pytest.MonkeyPatch, old: int = 16) -> tuple[np.ndarray, np.ndarray, Laps]:
     """True poses, those a tracker with a drift of so much a frame would have found, and what was seen on the way."""
     monkeypatch.setattr(backend, "REACH", 4)
+    monkeypatch.setattr(backend, "AGAIN", 8)
     monkeypatch.setattr(backend, "EVERY", 2)
     monkeypatch.setattr(laps, "OLD", old)
     sequence = RoomsDataset().open("tiny", width=128)
@@ -35,10 +36,10 @@ def back_and_forth(drift: float, monkeypatch: pytest.MonkeyPatch, old: int = 16)
     b = Backend(scale, seen)
     for k, i in enumerate(ORDER):
         b.add(k, luma_of_frame(sequence.image(i), scale.valid))
-        while (index := b.due(at_the_end=k == len(ORDER) - 1)) is not None:
-            depth = sequence.depth(ORDER[index])
+        while (due := b.due(at_the_end=k == len(ORDER) - 1)) is not None:
+            depth = sequence.depth(ORDER[due])
             assert depth is not None
-            b.adjust(lambda n: found[n], depth)
+            b.adjust(due, lambda n: found[n], depth)
     return truth, found, seen
 
 
