@@ -163,3 +163,15 @@ def test_seeded_discs_lie_in_the_wall_and_reproduce_the_image() -> None:
     out = Renderer(camera).forward(seeds, np.eye(4))
     assert np.median(out.opacity) > 0.9
     assert np.nanmedian(np.abs(out.expected_depth() / depth - 1)) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("final_iterations", -1), ("mapping_iterations", -3), ("colour_rate", float("nan")), ("pixels_per_gaussian", 0),
+     ("adam_beta2", 1.0), ("window", 0), ("tracking_pixels", 0), ("keyframe_overlap", float("inf"))],
+)  # fmt: skip
+def test_options_that_make_no_sense_are_refused(option: str, value: float) -> None:
+    with pytest.raises(ValueError, match=option):
+        PanogsConfig(**{option: value})
+    for preset in PRESETS.values():
+        PanogsConfig(**preset)

@@ -23,6 +23,8 @@ from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log
 Pose = NDArray[np.float64]
 #: One pixel in 8 x 8, and five iterations: the poses are good when they come.
 OPTIONS = BundleOptions(cell_px=6, iterations=4, cut=5.0, trim=0.6, near=12)
+#: In narrow views depth and motion are told apart by few pixels, and by the far frames: all of both are needed.
+NARROW = BundleOptions(cell_px=8, iterations=5, cut=5.0)
 #: A reference every so many frames that moved, and how many frames on either side it is compared with.
 EVERY, REACH = 8, 24
 #: A window is made again, once so many frames have followed, if the map's depth has changed by this share since: the
@@ -57,8 +59,8 @@ class _Frame:
 class Backend:
     """Frames that moved are numbered in order; the images of the first and the last some are kept."""
 
-    def __init__(self, scale: WorkingScale, laps: Laps | None = None) -> None:
-        self.scale, self.laps = scale, laps
+    def __init__(self, scale: WorkingScale, laps: Laps | None = None, *, narrow: bool = False) -> None:
+        self.scale, self.laps, self.options = scale, laps, NARROW if narrow else OPTIONS
         self.frames: list[_Frame] = []
         self.windows: list[Window] = []
         self.unfitted = False  # a window has come since the last fit
@@ -127,7 +129,7 @@ class Backend:
         T_wr = pose(target.index)
         T_fr = np.stack([invert_pose(pose(self.frames[n].index)) @ T_wr for n in numbers])
         images = np.stack([luma for _, luma in others])
-        bundle = refine(target.luma, s.rays, known, images, T_fr, s.code, s.cam, OPTIONS)
+        bundle = refine(target.luma, s.rays, known, images, T_fr, s.code, s.cam, self.options)
         if bundle.ok:
             self.windows = [w for w in self.windows if w.reference != k] + [Window(k, numbers, bundle)]
             self.unfitted = True

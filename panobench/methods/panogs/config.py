@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 
@@ -79,6 +80,18 @@ class PanogsConfig:
     loop: bool = False  # close loops: parts of the map long out of sight sleep, are recognised, correct the drift since
     # Depth of the first frame when the run names no estimator
     constant_depth: float = 2.0
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, (int, float)) and not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{f.name} must be a number from 0 up, not {value}")
+        for name in ("constant_depth", "pixels_per_gaussian", "scale_factor", "tracking_pixels", "window"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0")
+        for name in ("adam_beta1", "adam_beta2", "initial_opacity"):
+            if not getattr(self, name) < 1:
+                raise ValueError(f"{name} must be below 1")
 
 
 #: The paper's solver, iterations and projection.

@@ -68,7 +68,11 @@ class PanogsMethod(OnlineMethod):
             self.estimator.start(camera, context.seed)
         self.look_back = LookBack(camera, self.config, self.mapper)
         self.recent = self.look_back.recent
-        self.backend = Backend(self.recent.fine, Laps(self.recent.scale) if self.config.laps else None)
+        self.backend = Backend(
+            self.recent.fine,
+            Laps(self.recent.scale) if self.config.laps else None,
+            narrow=self.look_back.view_share.narrow,
+        )
         self.exposure = ExposureGuard(self.mapper.weights, not self.look_back.view_share.narrow)
         self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places)
@@ -263,18 +267,25 @@ class PanogsMethod(OnlineMethod):
     def _behind(self, depth: float) -> None:
         """Work behind the tracker: one of its longer jobs a frame, so that no frame waits for two.
 
-        depth: of the scene. Windows may wait for the others, but not for long.
+        depth: of the scene. Windows may wait for the others, but not for long. A narrow view turns away from what it
+        saw: there, looks back wait for nothing.
         """
-        look, before = self.look_back, len(self.mapper.map)
+        look, before, narrow = self.look_back, len(self.mapper.map), self.look_back.view_share.narrow
         if self.backend.unfitted:
             self._fit()
-        elif self.backend.overdue() or not (look.waiting or look.due):
+            if not narrow:
+                return
+        elif self.backend.overdue():
             self._adjust()
-        elif look.waiting:
+            if not narrow:
+                return
+        if look.waiting:
             look.settle(self._pose, self._move)
             self._draw_new(before, at_once=False)
-        else:
+        elif look.due:
             look.sweep(self._pose, depth)
+        elif not self.backend.unfitted:
+            self._adjust()
 
     def _close_loop(self, view: View, thumbnail: Thumbnail) -> float:
         """Look for a loop at the newest keyframe and close it; returns by how much the scale there changed."""
