@@ -107,90 +107,79 @@ def project(X, Y, Z, R, t, code, cam, u, v):  # type: ignore[no-untyped-def]
         project_pinhole(X, Y, Z, R, t, cam, u, v)
 
 
-@njit(**JIT)
-def sample_slope(image, u, v, code):  # type: ignore[no-untyped-def]
-    """Bilinear value at (u, v) and its derivatives by u and v, from the same four pixels.
+@njit(**INLINE)
+def _mix(p00, p01, p10, p11, a, b):  # type: ignore[no-untyped-def]
+    """Bilinear value between four pixels at (a, b) in 0..1, and its derivatives by a and b."""
+    left, right = p01 - p00, p11 - p10
+    top, low = p00 + a * left, p10 + a * right
+    return top + b * (low - top), left + b * (right - left), low - top
 
-    Columns wrap on a panorama, rows are clamped there; NaN outside a pinhole.
-    """
-    h, w = image.shape
-    fu, fv = u - np.float32(0.5), v - np.float32(0.5)
-    x0, y0 = int(np.floor(fu)), int(np.floor(fv))
-    a, b = fu - np.float32(x0), fv - np.float32(y0)
-    x1, y1 = x0 + 1, y0 + 1
-    if code == 0:
-        if x0 < 0:
-            x0 += w
-        elif x0 >= w:
-            x0 -= w
-        if x1 < 0:
-            x1 += w
-        elif x1 >= w:
-            x1 -= w
-        y0, y1 = min(max(y0, 0), h - 1), min(max(y1, 0), h - 1)
-        x0, x1 = min(max(x0, 0), w - 1), min(max(x1, 0), w - 1)
-    elif x0 < 0 or y0 < 0 or x1 >= w or y1 >= h:
-        nothing = np.float32(np.nan)
-        return nothing, nothing, nothing
-    left, right = image[y0, x1] - image[y0, x0], image[y1, x1] - image[y1, x0]
-    top, bottom = image[y0, x0] + a * left, image[y1, x0] + a * right
-    return top + b * (bottom - top), left + b * (right - left), bottom - top
+
+@njit(**INLINE)
+def _panorama_at(image, w, h, u, v):  # type: ignore[no-untyped-def]
+    """Bilinear value at (u, v) and its derivatives by u and v; image flat (h w,). Columns wrap, rows are clamped."""
+    fu, fv = u - _HALF, v - _HALF
+    bu, bv = np.floor(fu), np.floor(fv)
+    last, bottom = np.int32(w - 1), np.int32(h - 1)
+    x0, y0 = np.int32(bu), np.int32(bv)
+    x1, y1 = x0 + np.int32(1), y0 + np.int32(1)
+    x0 = x0 + np.int32(w) if x0 < 0 else (x0 - np.int32(w) if x0 > last else x0)
+    x1 = x1 + np.int32(w) if x1 < 0 else (x1 - np.int32(w) if x1 > last else x1)
+    x0, x1 = min(max(x0, _I0), last), min(max(x1, _I0), last)
+    y0, y1 = min(max(y0, _I0), bottom) * np.int32(w), min(max(y1, _I0), bottom) * np.int32(w)
+    p00, p01 = image[np.uint32(y0 + x0)], image[np.uint32(y0 + x1)]
+    p10, p11 = image[np.uint32(y1 + x0)], image[np.uint32(y1 + x1)]
+    return _mix(p00, p01, p10, p11, fu - bu, fv - bv)
+
+
+@njit(**INLINE)
+def _pinhole_at(image, w, h, u, v):  # type: ignore[no-untyped-def]
+    """The same in a pinhole image of 2 x 2 pixels or more; the value is NaN outside."""
+    fu, fv = u - _HALF, v - _HALF
+    bu, bv = np.floor(fu), np.floor(fv)
+    inside = (bu >= 0) & (bv >= 0) & (bu <= np.float32(w - 2)) & (bv <= np.float32(h - 2))
+    x, y = np.int32(bu) if inside else _I0, np.int32(bv) if inside else _I0
+    i = y * np.int32(w) + x
+    j = i + np.int32(w)
+    p00, p01 = image[np.uint32(i)], image[np.uint32(i + np.int32(1))]
+    p10, p11 = image[np.uint32(j)], image[np.uint32(j + np.int32(1))]
+    value, du, dv = _mix(p00, p01, p10, p11, fu - bu, fv - bv)
+    return value if inside else np.float32(np.nan), du, dv
+
+
+@njit(**JIT)
+def _panorama_run(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
+    for k in range(len(u)):
+        out[k], du[k], dv[k] = _panorama_at(image, w, h, u[k], v[k])
+
+
+@njit(**JIT)
+def _pinhole_run(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
+    for k in range(len(u)):
+        out[k], du[k], dv[k] = _pinhole_at(image, w, h, u[k], v[k])
 
 
 @njit(**JIT)
 def sample(image, u, v, code):  # type: ignore[no-untyped-def]
-    """The value alone of ``sample_slope``."""
-    return sample_slope(image, u, v, code)[0]
+    """Bilinear value at (u, v); image (h, w) contiguous.
 
-
-@njit(**JIT)
-def _sample_panorama(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
-    """``sample_slope`` at many pixels of a panorama, image flat (h w,)."""
-    last, bottom = np.int32(w - 1), np.int32(h - 1)
-    for k in range(len(u)):
-        fu, fv = u[k] - _HALF, v[k] - _HALF
-        bu, bv = np.floor(fu), np.floor(fv)
-        a, b = fu - bu, fv - bv
-        x0, y0 = np.int32(bu), np.int32(bv)
-        x1, y1 = x0 + np.int32(1), y0 + np.int32(1)
-        x0 = x0 + np.int32(w) if x0 < 0 else (x0 - np.int32(w) if x0 > last else x0)
-        x1 = x1 + np.int32(w) if x1 < 0 else (x1 - np.int32(w) if x1 > last else x1)
-        x0, x1 = min(max(x0, _I0), last), min(max(x1, _I0), last)
-        y0, y1 = min(max(y0, _I0), bottom) * np.int32(w), min(max(y1, _I0), bottom) * np.int32(w)
-        p00, p01 = image[np.uint32(y0 + x0)], image[np.uint32(y0 + x1)]
-        p10, p11 = image[np.uint32(y1 + x0)], image[np.uint32(y1 + x1)]
-        left, right = p01 - p00, p11 - p10
-        top, low = p00 + a * left, p10 + a * right
-        out[k], du[k], dv[k] = top + b * (low - top), left + b * (right - left), low - top
-
-
-@njit(**JIT)
-def _sample_pinhole(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
-    """``sample_slope`` at many pixels of a pinhole image, image flat (h w,)."""
-    last, bottom = np.float32(w - 2), np.float32(h - 2)
-    for k in range(len(u)):
-        fu, fv = u[k] - _HALF, v[k] - _HALF
-        bu, bv = np.floor(fu), np.floor(fv)
-        a, b = fu - bu, fv - bv
-        inside = (bu >= 0) & (bv >= 0) & (bu <= last) & (bv <= bottom)
-        x, y = np.int32(bu) if inside else _I0, np.int32(bv) if inside else _I0
-        i = y * np.int32(w) + x
-        j = i + np.int32(w)
-        p00, p01 = image[np.uint32(i)], image[np.uint32(i + np.int32(1))]
-        p10, p11 = image[np.uint32(j)], image[np.uint32(j + np.int32(1))]
-        left, right = p01 - p00, p11 - p10
-        top, low = p00 + a * left, p10 + a * right
-        out[k] = top + b * (low - top) if inside else np.float32(np.nan)
-        du[k], dv[k] = left + b * (right - left), low - top
+    Columns wrap on a panorama, rows are clamped there; NaN outside a pinhole.
+    """
+    h, w = image.shape
+    if code == 0:
+        return _panorama_at(image.reshape(-1), w, h, u, v)[0]
+    if h < 2 or w < 2:
+        return np.float32(np.nan)
+    return _pinhole_at(image.reshape(-1), w, h, u, v)[0]
 
 
 @njit(**JIT)
 def sample_run(image, u, v, code, out, du, dv):  # type: ignore[no-untyped-def]
-    """``sample_slope`` at pixels (u, v) (n,), several at a time; image (h, w) contiguous."""
+    """``sample`` at pixels (u, v) (n,), several at a time, and its derivatives by u and v."""
     h, w = image.shape
     if h < 2 or w < 2:
         out[: len(u)] = np.float32(np.nan)
     elif code == 0:
-        _sample_panorama(image.reshape(-1), w, h, u, v, out, du, dv)
+        _panorama_run(image.reshape(-1), w, h, u, v, out, du, dv)
     else:
-        _sample_pinhole(image.reshape(-1), w, h, u, v, out, du, dv)
+        _pinhole_run(image.reshape(-1), w, h, u, v, out, du, dv)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from panobench.cameras.erp import ErpCamera
 from panobench.datasets.rooms.dataset import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, se3_log, umeyama
 from panobench.methods.panogs import backend
@@ -83,6 +84,17 @@ def test_a_window_is_made_again_if_its_depth_has_changed(
     b = run(list(room()[3]), monkeypatch, young=young)
     assert sorted(made) == sorted([0, 4, 8, 12, 16] * (2 if twice else 1))
     assert sorted(w.reference for w in b.windows) == [0, 4, 8, 12, 16]
+
+
+def test_images_of_a_few_pixels_are_no_mistake(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(backend, "REACH", 2)
+    scale = WorkingScale.of(ErpCamera(40, 20), 512)
+    b = Backend(scale)
+    for i in range(4):
+        b.add(i, np.zeros((20, 40), np.float32))
+    while (k := b.due(at_the_end=True)) is not None:
+        b.adjust(k, lambda n: np.eye(4), np.ones((20, 40), np.float32))
+    assert b.windows == []
 
 
 def test_images_and_windows_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:

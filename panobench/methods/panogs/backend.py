@@ -21,7 +21,7 @@ from panobench.photometric.stereo import WorkingScale
 from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log_scale, reduced
 
 Pose = NDArray[np.float64]
-#: One pixel in 8 x 8, and five iterations: the poses are good when they come.
+#: Poses are good when they come: few iterations. Depths need not be: the nearest frames first, the worst pixels out.
 OPTIONS = BundleOptions(cell_px=6, iterations=4, cut=5.0, trim=0.6, near=12)
 #: In narrow views depth and motion are told apart by few pixels, and by the far frames: all of both are needed.
 NARROW = BundleOptions(cell_px=8, iterations=5, cut=5.0)
@@ -109,7 +109,7 @@ class Backend:
             return
         known = cv2.resize(depth, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.float32)
         known = np.where(s.valid & np.isfinite(known), known, 0).astype(np.float32)
-        sample = known[:: s.valid.shape[0] // 32, :: s.valid.shape[1] // 64]
+        sample = known[:: max(known.shape[0] // 32, 1), :: max(known.shape[1] // 64, 1)]
         if not again or _changed(target.depth, sample):
             target.depth = sample.copy()
             self._make(k, known, pose)

@@ -271,12 +271,8 @@ class PanogsMethod(OnlineMethod):
         saw: there, looks back wait for nothing.
         """
         look, before, narrow = self.look_back, len(self.mapper.map), self.look_back.view_share.narrow
-        if self.backend.unfitted:
-            self._fit()
-            if not narrow:
-                return
-        elif self.backend.overdue():
-            self._adjust()
+        if self.backend.unfitted or self.backend.overdue():
+            (self._fit if self.backend.unfitted else self._adjust)()
             if not narrow:
                 return
         if look.waiting:
