@@ -1,4 +1,4 @@
-"""Which Gaussians a tile has to composite, in depth order."""
+"""Which Gaussians a tile has to composite, in depth order, and in which of its rows."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit, prange
 
 from panobench.splat.kernel_options import INLINE, JIT, PARALLEL, TILE_H, TILE_W
-from panobench.splat.view import BOUND_CONES
+from panobench.splat.slabs import slab_rows
+from panobench.splat.view import BOUND_CONES, BOUND_FLAT, BOUND_LATLON
 
 
 @njit(**JIT)
@@ -64,66 +65,111 @@ def _cone_meets(p, cone):  # type: ignore[no-untyped-def]
 
 
 @njit(**INLINE)
-def _visit(k, packed, rows, cols, W, tiles_x, tiles, bound, cones, drawn, cursor, entries):  # type: ignore[no-untyped-def]
-    """Advance ``cursor`` of every drawn tile instance k may touch, writing k there unless ``entries`` is empty."""
-    fill = len(entries) > 0
-    if bound == BOUND_CONES:
-        for t in range(tiles):
-            if drawn[t] and _cone_meets(packed[k], cones[t]):
-                if fill:
-                    entries[cursor[t]] = k
-                cursor[t] += 1
-        return
-    y0, y1 = rows[k, 0] // TILE_H, rows[k, 1] // TILE_H
-    c0, c1 = cols[k, 0], cols[k, 1]
+def _tile_columns(c0, c1, W):  # type: ignore[no-untyped-def]
+    """The runs of tile columns (first, last; first, last) of pixel columns that may pass either edge of a panorama."""
     if c1 - c0 >= W - 1:
-        c0, c1 = 0, W - 1
-    # A panorama's footprint may pass either edge: at most two runs of columns.
-    for part in range(2):
-        if part == 0:
-            x0, x1 = max(c0, 0), min(c1, W - 1)
-        elif c0 < 0:
-            x0, x1 = max(c0 + W, c1 // TILE_W * TILE_W + TILE_W), W - 1
-        elif c1 >= W:
-            x0, x1 = 0, min(c1 - W, c0 // TILE_W * TILE_W - 1)
-        else:
-            break
-        if x1 < x0:
+        return 0, (W - 1) // TILE_W, 1, 0
+    x0, x1 = max(c0, 0) // TILE_W, min(c1, W - 1) // TILE_W
+    if c0 < 0:
+        return x0, x1, max((c0 + W) // TILE_W, x1 + 1), (W - 1) // TILE_W
+    if c1 >= W:
+        return x0, x1, 0, min((c1 - W) // TILE_W, x0 - 1)
+    return x0, x1, 1, 0
+
+
+@njit(**JIT)
+def _slabs(k0, k1, cols, W, which, columns):  # type: ignore[no-untyped-def]
+    """Instances k0 .. k1 once for every column of tiles they may reach: how many, written down if there is room."""
+    n = 0
+    for k in range(k0, k1):
+        a, b, c, d = _tile_columns(cols[k, 0], cols[k, 1], W)
+        if len(which) == 0:
+            n += b - a + 1 + d - c + 1
             continue
-        for ty in range(y0, y1 + 1):
-            for t in range(ty * tiles_x + x0 // TILE_W, ty * tiles_x + x1 // TILE_W + 1):
-                if drawn[t]:
-                    if fill:
-                        entries[cursor[t]] = k
-                    cursor[t] += 1
+        for x in range(a, b + 1):
+            which[n], columns[n] = k, x
+            n += 1
+        for x in range(c, d + 1):
+            which[n], columns[n] = k, x
+            n += 1
+    return n
+
+
+@njit(**JIT)
+def _tiles_met(k0, k1, packed, cones, W, H, which, columns, first, last):  # type: ignore[no-untyped-def]
+    """The same for cameras without columns: a slab for every tile whose cone an instance meets, with all its rows."""
+    tiles_x, n = (W + TILE_W - 1) // TILE_W, 0
+    for k in range(k0, k1):
+        for t in range(len(cones)):
+            if _cone_meets(packed[k], cones[t]):
+                if len(which) > 0:
+                    y = t // tiles_x * TILE_H
+                    which[n], columns[n], first[n], last[n] = k, t % tiles_x, y, min(y + TILE_H, H) - 1
+                n += 1
+    return n
 
 
 @njit(**PARALLEL)
-def bin_tiles(packed, rows, cols, W, tiles_x, tiles_y, bound, cones, drawn, threads):  # type: ignore[no-untyped-def]
-    """Tile lists in depth order for instances already sorted by depth: starts (tiles + 1,), entries (E,).
+def bin_tiles(packed, rows, cols, bound, cones, intr, drawn, threads):  # type: ignore[no-untyped-def]
+    """Tile lists in depth order for instances already sorted by depth: starts (tiles + 1,), entries (E,), spans (E, 2).
 
-    drawn (tiles,): tiles that need a list; the others' stay empty.
+    spans: first row within the tile and number of rows that the entry may colour. drawn (tiles,): tiles that need a
+    list; the others' stay empty.
 
     Each thread takes a run of instances; its entries stand behind those of nearer runs, so the lists do not depend
     on the number of threads.
     """
-    tiles, n = tiles_x * tiles_y, len(rows)
-    block = (n + threads - 1) // threads
-    cursor = np.zeros((threads, tiles), np.int64)
+    W, H, n, tiles = int(intr[0]), int(intr[1]), len(rows), len(drawn)
+    tiles_x, share = (W + TILE_W - 1) // TILE_W, (n + threads - 1) // threads
     nothing = np.empty(0, np.int32)
+    begins = np.zeros(threads + 1, np.int64)
     for th in prange(threads):
-        for k in range(th * block, min((th + 1) * block, n)):
-            _visit(k, packed, rows, cols, W, tiles_x, tiles, bound, cones, drawn, cursor[th], nothing)
+        k0, k1 = min(th * share, n), min((th + 1) * share, n)
+        if bound == BOUND_CONES:
+            begins[th + 1] = _tiles_met(k0, k1, packed, cones, W, H, nothing, nothing, nothing, nothing)
+        else:
+            begins[th + 1] = _slabs(k0, k1, cols, W, nothing, nothing)
+    for th in range(threads):
+        begins[th + 1] += begins[th]
+    slabs = np.empty((4, begins[threads]), np.int32)  # instance, column of tiles, first and last row
+    cursor = np.zeros((threads, tiles), np.int64)
+    for th in prange(threads):
+        k0, k1 = min(th * share, n), min((th + 1) * share, n)
+        mine = slabs[:, begins[th] : begins[th + 1]]
+        if mine.shape[1] == 0:
+            continue
+        if bound == BOUND_CONES:
+            _tiles_met(k0, k1, packed, cones, W, H, mine[0], mine[1], mine[2], mine[3])
+        else:
+            _slabs(k0, k1, cols, W, mine[0], mine[1])
+            if bound in (BOUND_LATLON, BOUND_FLAT):
+                slab_rows(mine[0], mine[1], packed, rows, bound, intr, mine[2], mine[3])
+            else:
+                for s in range(mine.shape[1]):
+                    mine[2, s], mine[3, s] = rows[mine[0, s], 0], rows[mine[0, s], 1]
+        for s in range(mine.shape[1]):
+            if mine[3, s] >= mine[2, s]:
+                for y in range(mine[2, s] // TILE_H, mine[3, s] // TILE_H + 1):
+                    cursor[th, y * tiles_x + mine[1, s]] += 1
     starts = np.zeros(tiles + 1, np.int64)
     for t in range(tiles):
         total = starts[t]
         for th in range(threads):
-            count = cursor[th, t]
+            count = cursor[th, t] if drawn[t] else 0
             cursor[th, t] = total
             total += count
         starts[t + 1] = total
-    entries = np.empty(max(starts[tiles], 1), np.int32)
+    entries, spans = np.empty(max(starts[tiles], 1), np.int32), np.empty((max(starts[tiles], 1), 2), np.uint8)
     for th in prange(threads):
-        for k in range(th * block, min((th + 1) * block, n)):
-            _visit(k, packed, rows, cols, W, tiles_x, tiles, bound, cones, drawn, cursor[th], entries)
-    return starts, entries
+        for s in range(begins[th], begins[th + 1]):
+            r0, r1 = slabs[2, s], slabs[3, s]
+            if r1 < r0:
+                continue
+            for y in range(r0 // TILE_H, r1 // TILE_H + 1):
+                t = y * tiles_x + slabs[1, s]
+                if drawn[t]:
+                    e = cursor[th, t]
+                    low = max(r0 - y * TILE_H, 0)
+                    entries[e], spans[e, 0], spans[e, 1] = slabs[0, s], low, min(r1 - y * TILE_H + 1, TILE_H) - low
+                    cursor[th, t] += 1
+    return starts, entries, spans

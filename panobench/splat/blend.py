@@ -81,28 +81,41 @@ def _exp_half(s):  # type: ignore[no-untyped-def]
     return e * e
 
 
-@njit(**JIT_FINITE)
-def _forward_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
-    p1x, p1y = p[0], p[1]
-    p2x, p2y = p[3], p[4]
-    mx, my, mz, o = p[6], p[7], p[8], p[9]
-    cr, cg, cb, cd = p[10], p[11], p[12], p[13]
-    d1, d2 = p[18], p[19]
-    for j in range(n):
-        i = lo + j
-        x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
-        n0 = mx * x + my * y + mz * z
-        inv = _F1 / max(n0, _COS)
-        t1 = (p1x * x + p1y * y + p1z * z) * inv
-        t2 = (p2x * x + p2y * y + p2z * z) * inv
-        a = min(o * _exp_half(t1 * t1 + t2 * t2 if n0 > _COS else _S_MAX), _A_MAX)
-        T = buf[i + _T]
-        w = a * T if a >= _A_MIN else _F0
-        buf[i + _R] += w * cr
-        buf[i + _G] += w * cg
-        buf[i + _B] += w * cb
-        buf[i + _D] += w * (cd + d1 * t1 + d2 * t2)
-        buf[i + _T] = T - w
+def _forward_span_of(weigh: bool) -> Callable[..., None]:
+    """Draw one instance over a span; ``weigh``: its weights, summed, are added to sums[th, k]."""
+
+    @njit(**JIT_FINITE)
+    def span(p, p1z, p2z, buf, lo, n, sums, th, k):  # type: ignore[no-untyped-def]
+        p1x, p1y = p[0], p[1]
+        p2x, p2y = p[3], p[4]
+        mx, my, mz, o = p[6], p[7], p[8], p[9]
+        cr, cg, cb, cd = p[10], p[11], p[12], p[13]
+        d1, d2 = p[18], p[19]
+        total = _F0
+        for j in range(n):
+            i = lo + j
+            x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
+            n0 = mx * x + my * y + mz * z
+            inv = _F1 / max(n0, _COS)
+            t1 = (p1x * x + p1y * y + p1z * z) * inv
+            t2 = (p2x * x + p2y * y + p2z * z) * inv
+            a = min(o * _exp_half(t1 * t1 + t2 * t2 if n0 > _COS else _S_MAX), _A_MAX)
+            T = buf[i + _T]
+            w = a * T if a >= _A_MIN else _F0
+            buf[i + _R] += w * cr
+            buf[i + _G] += w * cg
+            buf[i + _B] += w * cb
+            buf[i + _D] += w * (cd + d1 * t1 + d2 * t2)
+            buf[i + _T] = T - w
+            if weigh:
+                total += w
+        if weigh:
+            sums[th, k] += total
+
+    return span
+
+
+_forward_span, _forward_span_weighed = _forward_span_of(False), _forward_span_of(True)
 
 
 @njit(**JIT_FINITE)
@@ -126,19 +139,20 @@ def _count_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
 
 @njit(**PARALLEL)
 def blend_forward(  # type: ignore[no-untyped-def]
-    packed, rows, starts, entries, rays, wrap, stop, tiles, threads, colour, depth, opacity, done, touched
+    packed, starts, entries, spans, rays, wrap, stop, tiles, threads, colour, depth, opacity, done, touched, weights
 ):
     """Composite the listed tiles front to back.
 
-    packed (M, PACK) float32 instances in depth order; rows (M, 2) int32 first and last pixel row; starts (tiles+1,)
-    and entries (E,) int32: each tile's instances in depth order; rays (3, H, W); wrap: image width when means wrap
-    horizontally, else 0; stop: a tile ends when no pixel's transmittance exceeds it; tiles (K,) int32: tiles to
-    draw. Writes colour (3, H, W), depth (H, W) = sum w dist, opacity (H, W) = sum w, done (tiles,) = entries used,
-    and, if it has M columns, touched (threads, M) counts.
+    packed (M, PACK) float32 instances in depth order; starts (tiles+1,) and entries (E,) int32: each tile's
+    instances in depth order; spans (E, 2): an entry's first row within the tile and number of rows; rays (3, H, W);
+    wrap: image width when means wrap horizontally, else 0; stop: a tile ends when no pixel's transmittance exceeds it;
+    tiles (K,) int32: tiles to draw. Writes colour (3, H, W), depth (H, W) = sum w dist, opacity (H, W) = sum w, done
+    (tiles,) = entries used, and, if they have M columns, touched (threads, M) counts and weights (threads, M) float32 =
+    an instance's sum of w.
     """
     H, W = rays.shape[1], rays.shape[2]
     tiles_x = (W + TILE_W - 1) // TILE_W
-    count = touched.shape[1] > 0
+    count, weigh = touched.shape[1] > 0, weights.shape[1] > 0
     for th in prange(threads):
         buf = np.empty(_CHANNELS * _N, np.float32)
         for ti in range(th, len(tiles), threads):
@@ -154,15 +168,16 @@ def blend_forward(  # type: ignore[no-untyped-def]
             for e in range(starts[tile], starts[tile + 1]):
                 k = entries[e]
                 used += 1
-                r0, r1 = max(rows[k, 0], y0) - y0, min(rows[k, 1] + 1, y1) - y0
-                if r1 > r0:
-                    p = packed[k]
-                    shift = _wrap_shift(p[15], x0, wrap)
-                    p1z, p2z = p[2] - p[0] * shift, p[5] - p[3] * shift
-                    lo, n = np.uint64(r0 * TILE_W), np.uint64((r1 - r0) * TILE_W)
-                    if count:
-                        touched[th, k] += np.int32(_count_span(p, p1z, p2z, buf, lo, n))
-                    _forward_span(p, p1z, p2z, buf, lo, n)
+                p = packed[k]
+                shift = _wrap_shift(p[15], x0, wrap)
+                p1z, p2z = p[2] - p[0] * shift, p[5] - p[3] * shift
+                lo, n = np.uint64(spans[e, 0] * TILE_W), np.uint64(spans[e, 1] * TILE_W)
+                if count:
+                    touched[th, k] += np.int32(_count_span(p, p1z, p2z, buf, lo, n))
+                if weigh:
+                    _forward_span_weighed(p, p1z, p2z, buf, lo, n, weights, th, k)
+                else:
+                    _forward_span(p, p1z, p2z, buf, lo, n, weights, th, k)
                 if used % 32 == 0:
                     top = _F0
                     for y in range(y1 - y0):
@@ -260,7 +275,7 @@ _backward_span, _backward_span_deep = _backward_span_of(False), _backward_span_o
 
 @njit(**PARALLEL)
 def blend_backward(  # type: ignore[no-untyped-def]
-    packed, rows, order, starts, entries, rays, wrap, tiles, threads, colour, depth, opacity, done, d_colour, d_depth,
+    packed, order, starts, entries, spans, rays, wrap, tiles, threads, colour, depth, opacity, done, d_colour, d_depth,
     d_opacity, moments,
 ):  # fmt: skip
     """Gradients of the listed tiles, as moment sums per Gaussian: instance k is Gaussian order[k].
@@ -301,16 +316,14 @@ def blend_backward(  # type: ignore[no-untyped-def]
                     buf[9 * _N + i] = total
             for e in range(starts[tile], starts[tile] + done[tile]):
                 k = entries[e]
-                r0, r1 = max(rows[k, 0], y0) - y0, min(rows[k, 1] + 1, y1) - y0
-                if r1 > r0:
-                    p = packed[k]
-                    shift = _wrap_shift(p[15], x0, wrap)
-                    p1z, p2z = p[2] - p[0] * shift, p[5] - p[3] * shift
-                    lo, n = np.uint64(r0 * TILE_W), np.uint64((r1 - r0) * TILE_W)
-                    if with_depth or with_opacity:
-                        _backward_span_deep(p, p1z, p2z, buf, lo, n, moments, th, order[k])
-                    else:
-                        _backward_span(p, p1z, p2z, buf, lo, n, moments, th, order[k])
+                p = packed[k]
+                shift = _wrap_shift(p[15], x0, wrap)
+                p1z, p2z = p[2] - p[0] * shift, p[5] - p[3] * shift
+                lo, n = np.uint64(spans[e, 0] * TILE_W), np.uint64(spans[e, 1] * TILE_W)
+                if with_depth or with_opacity:
+                    _backward_span_deep(p, p1z, p2z, buf, lo, n, moments, th, order[k])
+                else:
+                    _backward_span(p, p1z, p2z, buf, lo, n, moments, th, order[k])
 
 
 def new_moments(threads: int, gaussians: int) -> np.ndarray:

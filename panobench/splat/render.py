@@ -30,7 +30,8 @@ class RenderOutput:
     """planes (3, H, W) composited colour; depth (H, W) = sum of w dist; opacity (H, W) = sum of w.
 
     touched (N,) int32: pixels each Gaussian reaches while over half of the light still passes (if asked for).
-    order (M,) int32: the Gaussians drawn, nearest first.
+    order (M,) int32: the Gaussians drawn, nearest first. weights (N,) float32: sum of w over the pixels, that is how
+    many of them each Gaussian makes up (if asked for).
     """
 
     planes: F32
@@ -38,6 +39,7 @@ class RenderOutput:
     opacity: F32
     touched: NDArray[np.int32] | None
     order: NDArray[np.int32]
+    weights: F32 | None = None
 
     @property
     def colour(self) -> F32:
@@ -100,9 +102,9 @@ class _Scene:
     R_cw: NDArray[np.float64]
     t_cw: NDArray[np.float64]
     packed: F32
-    rows: NDArray[np.int32]
     starts: NDArray[np.int64]
     entries: NDArray[np.int32]
+    spans: NDArray[np.uint8]
     done: NDArray[np.int32]
     tiles: NDArray[np.int32]
     out: RenderOutput
@@ -144,9 +146,13 @@ class Renderer:
         *,
         count_touched: bool = False,
         sloped: bool = False,
+        weigh: bool = False,
+        hidden: NDArray[np.bool_] | None = None,
         tiles: NDArray[np.int32] | None = None,
     ) -> RenderOutput:
         """Render from camera-to-world pose ``T_wc``; ``tiles`` restricts it to those tiles (others stay black).
+
+        ``hidden`` (N,): Gaussians that are left out, because they are known to lie behind others.
 
         ``sloped``: depth follows each Gaussian's own surface across its footprint instead of being its centre's
         everywhere, which is biased to the near side where footprints overlap on an oblique wall (the mean of
@@ -163,14 +169,16 @@ class Renderer:
             R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, self.low_pass, self.near,
             sloped, packed, rows, cols, key, self.threads,
         )  # fmt: skip
+        if hidden is not None:
+            key[hidden] = -1.0
         order = binning.radix_order(key)
         packed, rows, cols = binning.gather(order, packed, rows, cols)
         drawn = np.ones(v.tiles_x * v.tiles_y, np.bool_)
         if tiles is not None:
             drawn[:] = False
             drawn[tiles] = True
-        starts, entries = binning.bin_tiles(
-            packed, rows, cols, v.width, v.tiles_x, v.tiles_y, v.bound, v.cones, drawn, self.threads
+        starts, entries, spans = binning.bin_tiles(
+            packed, rows, cols, v.bound, v.cones, v.intrinsics, drawn, self.threads
         )
         tiles = self.all_tiles() if tiles is None else tiles
         new = np.empty if len(tiles) == v.tiles_x * v.tiles_y else np.zeros
@@ -178,16 +186,20 @@ class Renderer:
         depth, opacity = new((v.height, v.width), np.float32), new((v.height, v.width), np.float32)
         done = np.zeros(v.tiles_x * v.tiles_y, np.int32)
         counts = np.zeros((self.threads, len(order) if count_touched else 0), np.int32)
+        sums = np.zeros((self.threads, len(order) if weigh else 0), np.float32)
         blend.blend_forward(
-            packed, rows, starts, entries, v.rays, self._wrap, self.stop, tiles, self.threads,
-            planes, depth, opacity, done, counts,
+            packed, starts, entries, spans, v.rays, self._wrap, self.stop, tiles, self.threads,
+            planes, depth, opacity, done, counts, sums,
         )  # fmt: skip
-        touched = None
+        touched, weights = None, None
         if count_touched:
             touched = np.zeros(n, np.int32)
             touched[order] = counts.sum(axis=0)
-        out = RenderOutput(planes, depth, opacity, touched, order)
-        self._scene = _Scene(gaussians, R_cw, t_cw, packed, rows, starts, entries, done, tiles, out, sloped)
+        if weigh:
+            weights = np.zeros(n, np.float32)
+            weights[order] = sums.sum(axis=0)
+        out = RenderOutput(planes, depth, opacity, touched, order, weights)
+        self._scene = _Scene(gaussians, R_cw, t_cw, packed, starts, entries, spans, done, tiles, out, sloped)
         return out
 
     def backward(
@@ -226,7 +238,7 @@ class Renderer:
         do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
         moments = blend.new_moments(self.threads, len(s.gaussians))
         blend.blend_backward(
-            s.packed, s.rows, s.out.order, s.starts, s.entries, v.rays, self._wrap, s.tiles, self.threads,
+            s.packed, s.out.order, s.starts, s.entries, s.spans, v.rays, self._wrap, s.tiles, self.threads,
             s.out.planes, s.out.depth, s.out.opacity, s.done, dc, dd, do, moments,
         )  # fmt: skip
         return Backward(s.gaussians, s.R_cw, s.t_cw, v, moments)

@@ -1,0 +1,141 @@
+"""Slabs: the part of a footprint within one column of tiles, and which rows it reaches there.
+
+A rectangle about a slanted or curved footprint is mostly empty, and compositing costs what its pixels cost. A footprint
+is the cone r^T Q r <= 0 with Q = p1 p1^T + p2 p2^T - q m m^T (see project.py). On the plane that touches a column of
+tiles along its middle meridian, r = a + X x + Y y (a: the horizontal ray to it, x: east, y: down), meridians are the
+lines X = const and the footprint is an ellipse, whose highest and lowest points between two meridians have a closed
+form. A parallel is a hyperbola there, y / |r| = Y / sqrt(1 + X^2 + Y^2): over the width of a tile it bends by less than
+a pixel, which is allowed for. In a pinhole image X and Y are pixels but for scale, and nothing bends.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from panobench.photometric.warp import atan2_fast
+from panobench.splat.block import BLOCK, channels
+from panobench.splat.kernel_options import INLINE, JIT, TILE_W
+from panobench.splat.view import BOUND_LATLON
+
+# Offsets in a block's buffer: the footprint, the directions a and x of its column (without y), and the rows reached.
+_P1, _P2, _M = channels(0, 3), channels(3, 3), channels(6, 3)
+_CUT, _AX, _AZ, _XX, _XZ, _FIRST, _LAST = channels(9, 7)
+#: Channels of a block of slabs.
+SLAB_CHANNELS = 16
+#: Of a pixel, the slack for rounding.
+_SLACK = np.float32(0.02)
+#: An ellipse of which det / (Qxx Qyy) is smaller is too thin for float32; its rectangle has to do.
+_THIN = np.float32(1e-4)
+_F0, _F1, _PER_HALF_TURN, _HALF = np.float32(0.0), np.float32(1.0), np.float32(1.0 / np.pi), np.float32(0.5)
+_EVERY = np.float32(1e6)
+
+
+@njit(**INLINE)
+def _lowest_and_highest(Qaa, Qax, Qxx, Qay, Qxy, Qyy, half):  # type: ignore[no-untyped-def]
+    """Least and largest Y of Qaa + 2 Qax X + Qxx X^2 + 2 (Qay + Qxy X) Y + Qyy Y^2 <= 0 within |X| <= half.
+
+    The least is above the largest where there is nothing; everything is allowed where this is no ellipse.
+    """
+    det = Qxx * Qyy - Qxy * Qxy
+    ellipse = (Qxx > _F0) & (Qyy > _F0) & (det > _THIN * Qxx * Qyy)
+    inv_det, inv = _F1 / (det if ellipse else _F1), _F1 / (Qyy if ellipse else _F1)
+    # A quarter of the discriminant in Y is d0 + 2 d1 X - det X^2; its roots are the sides of the ellipse.
+    d0, d1 = Qay * Qay - Qyy * Qaa, Qay * Qxy - Qyy * Qax
+    middle = d1 * inv_det
+    wide = np.sqrt(max(middle * middle + d0 * inv_det, _F0))
+    left, right = max(-half, middle - wide), min(half, middle + wide)
+    # Least and largest Y lie as far to either side of the middle; between two lines, as near to that as can be.
+    aside = -Qxy * wide / np.sqrt(Qxx * Qyy if ellipse else _F1)
+    low, high = min(max(middle - aside, left), right), min(max(middle + aside, left), right)
+    root_low = np.sqrt(max(d0 + low * (d1 + d1 - det * low), _F0))
+    root_high = np.sqrt(max(d0 + high * (d1 + d1 - det * high), _F0))
+    least, largest = -(Qay + low * Qxy + root_low) * inv, (root_high - Qay - high * Qxy) * inv
+    some = left <= right
+    return (
+        (least if some else _EVERY) if ellipse else -_EVERY,
+        (largest if some else -_EVERY) if ellipse else _EVERY,
+    )
+
+
+@njit(**INLINE)
+def _slab(buf, j, half):  # type: ignore[no-untyped-def]
+    """Least and largest Y of the slab in slot j."""
+    ax, az, xx, xz = buf[j + _AX], buf[j + _AZ], buf[j + _XX], buf[j + _XZ]
+    p1x, p1y, p1z = buf[j + _P1[0]], buf[j + _P1[1]], buf[j + _P1[2]]
+    p2x, p2y, p2z = buf[j + _P2[0]], buf[j + _P2[1]], buf[j + _P2[2]]
+    mx, my, mz = buf[j + _M[0]], buf[j + _M[1]], buf[j + _M[2]]
+    p1a, p2a, ma = p1x * ax + p1z * az, p2x * ax + p2z * az, mx * ax + mz * az
+    p1x, p2x, mx = p1x * xx + p1z * xz, p2x * xx + p2z * xz, mx * xx + mz * xz
+    qa, qx, qy = buf[j + _CUT] * ma, buf[j + _CUT] * mx, buf[j + _CUT] * my
+    return _lowest_and_highest(
+        p1a * p1a + p2a * p2a - qa * ma,
+        p1a * p1x + p2a * p2x - qa * mx,
+        p1x * p1x + p2x * p2x - qx * mx,
+        p1a * p1y + p2a * p2y - qa * my,
+        p1x * p1y + p2x * p2y - qx * my,
+        p1y * p1y + p2y * p2y - qy * my,
+        half,
+    )
+
+
+@njit(**JIT)
+def _rows_latlon(buf, n, half, H):  # type: ignore[no-untyped-def]
+    bend = _F1 / np.sqrt(_F1 + half * half)
+    for j in range(np.uint64(n)):
+        least, largest = _slab(buf, j, half)
+        least, largest = least * (_F1 if least < _F0 else bend), largest * (bend if largest < _F0 else _F1)
+        buf[j + _FIRST] = H * (atan2_fast(least, _F1) * _PER_HALF_TURN + _HALF)
+        buf[j + _LAST] = H * (atan2_fast(largest, _F1) * _PER_HALF_TURN + _HALF)
+
+
+@njit(**JIT)
+def _rows_flat(buf, n, half, fy, cy):  # type: ignore[no-untyped-def]
+    for j in range(np.uint64(n)):
+        least, largest = _slab(buf, j, half)
+        buf[j + _FIRST], buf[j + _LAST] = fy * least + cy, fy * largest + cy
+
+
+@njit(**JIT)
+def _axes_of_columns(bound, intr):  # type: ignore[no-untyped-def]
+    """Directions a and x (tiles_x, 4) of the columns of tiles, and the largest X of a pixel in one."""
+    W = intr[0]
+    axes = np.empty((int(W + TILE_W - 1) // TILE_W, 4), np.float32)
+    step = 2.0 * np.pi / W if bound == BOUND_LATLON else 1.0 / intr[2]
+    for c in range(len(axes)):
+        centre = (c + 0.5) * TILE_W
+        if bound == BOUND_LATLON:
+            sin, cos = np.sin(step * centre - np.pi), np.cos(step * centre - np.pi)
+            axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3] = sin, cos, cos, -sin
+        else:
+            axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3] = (centre - intr[4]) * step, 1.0, 1.0, 0.0
+    half = 0.5 * (TILE_W - 1) * step
+    return axes, np.float32(1.002 * (np.tan(min(half, 1.5)) if bound == BOUND_LATLON else half))
+
+
+@njit(**JIT)
+def slab_rows(which, columns, packed, rows, bound, intr, first, last):  # type: ignore[no-untyped-def]
+    """First and last row (S,) int32 of the slabs of instances ``which`` (S,) in the columns of tiles ``columns`` (S,).
+
+    ``first`` is beyond ``last`` where a slab is empty. packed, rows: as ``project`` left them.
+    """
+    buf = np.empty(SLAB_CHANNELS * BLOCK, np.float32)
+    axes, half = _axes_of_columns(bound, intr)
+    H = np.float32(intr[1])
+    for s0 in range(0, len(which), BLOCK):
+        n = min(BLOCK, len(which) - s0)
+        for j in range(n):
+            k, c = which[s0 + j], columns[s0 + j]
+            for i in range(3):
+                buf[j + _P1[i]], buf[j + _P2[i]], buf[j + _M[i]] = packed[k, i], packed[k, 3 + i], packed[k, 6 + i]
+            buf[j + _CUT] = packed[k, 14]
+            buf[j + _AX], buf[j + _AZ], buf[j + _XX], buf[j + _XZ] = axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3]
+        if bound == BOUND_LATLON:
+            _rows_latlon(buf, n, half, H)
+        else:
+            _rows_flat(buf, n, half, np.float32(intr[3]), np.float32(intr[5]))
+        for j in range(n):
+            k = which[s0 + j]
+            low, high = max(buf[j + _FIRST], -_F1), min(buf[j + _LAST], H + _F1)
+            first[s0 + j] = max(int(np.ceil(low - _HALF - _SLACK)), rows[k, 0])
+            last[s0 + j] = min(int(np.floor(high - _HALF + _SLACK)), rows[k, 1])
