@@ -34,24 +34,26 @@ def pixel_weights(camera: Camera, weighting: Weighting = "cosine") -> F32:
 
 @njit(**PARALLEL)
 def _robust_l1(planes, image, weights, gain, offset, knee, gradient, sums):  # type: ignore[no-untyped-def]
+    """With t = r / knee cut at +-1, a residual r costs t r - knee t^2 / 2 and its slope is t: no branches."""
     h, w = weights.shape
     scale, g, o, knee = np.float32(1 / 255), np.float32(np.exp(gain)), np.float32(offset), np.float32(knee)
+    one, steep = np.float32(1), np.float32(1) / max(knee, np.float32(1e-30))
     for y in prange(h):
-        s, dg, do = 0.0, 0.0, 0.0
-        for c in range(3):
-            for x in range(w):
-                r = g * planes[c, y, x] + o - scale * image[y, x, c]
-                k = weights[y, x] * np.float32(1 / 3)
-                a = abs(r)
-                if a < knee:  # quadratic inside, so that steps shrink near the optimum
-                    d = k * r / knee
-                    s += 0.5 * d * r
-                else:
-                    d = k if r > 0 else -k
-                    s += k * (a - 0.5 * knee)
-                gradient[c, y, x] = d * g
-                dg += d * g * planes[c, y, x]
-                do += d
+        s, dg, do = np.float32(0), np.float32(0), np.float32(0)
+        for x in range(w):
+            k = weights[y, x] * np.float32(1 / 3)
+            c0, c1, c2 = g * planes[0, y, x], g * planes[1, y, x], g * planes[2, y, x]
+            r0 = c0 + o - scale * np.float32(image[y, x, 0])
+            r1 = c1 + o - scale * np.float32(image[y, x, 1])
+            r2 = c2 + o - scale * np.float32(image[y, x, 2])
+            t0 = min(max(r0 * steep, -one), one)
+            t1 = min(max(r1 * steep, -one), one)
+            t2 = min(max(r2 * steep, -one), one)
+            d0, d1, d2 = k * t0, k * t1, k * t2
+            s += d0 * r0 + d1 * r1 + d2 * r2 - np.float32(0.5) * knee * (d0 * t0 + d1 * t1 + d2 * t2)
+            dg += d0 * c0 + d1 * c1 + d2 * c2
+            do += d0 + d1 + d2
+            gradient[0, y, x], gradient[1, y, x], gradient[2, y, x] = d0 * g, d1 * g, d2 * g
         sums[y, 0], sums[y, 1], sums[y, 2] = s, dg, do
 
 

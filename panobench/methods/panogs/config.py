@@ -76,7 +76,8 @@ class PanogsConfig:
     split_size_px: float = 1.0
     split_new: float = 0.02  # with more of the image unknown or wrong nothing is split: that is not for want of detail
     prune_opacity: float = 0.05
-    final_iterations: int = 8  # steps per keyframe at the end, on all views, with falling rates
+    hidden_px: float = 0.01  # a view's steps leave out what makes up fewer of its pixels than that, in sum
+    final_iterations: int = 9  # steps per keyframe at the end, on all views, with falling rates
     loop: bool = False  # close loops: parts of the map long out of sight sleep, are recognised, correct the drift since
     # Depth of the first frame when the run names no estimator
     constant_depth: float = 2.0
@@ -100,6 +101,7 @@ PAPER: dict[str, Any] = {
     "relocalise": False,
     "keyframe_new": 1.0,
     "densify": False,
+    "hidden_px": 0.0,
     "pixels_per_gaussian": 4.0,
     "steps_per_frame": 0,
     "match_exposure": False,

@@ -11,6 +11,7 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.detail import EVEN, LEVELS, SeedPattern
+from panobench.methods.panogs.occlusion import Occlusion
 from panobench.methods.panogs.split import SplitRule, halves, too_coarse
 from panobench.methods.panogs.surface import fill_depth, seed_gaussians
 from panobench.methods.panogs.views import View
@@ -41,6 +42,8 @@ class Mapper:
         self.map = GaussianMap.empty()
         self.adam = GaussianAdam(0, config.adam_beta1, config.adam_beta2)
         self.born = np.zeros(0, np.int32)  # keyframe number at which each Gaussian was inserted
+        self.serial = np.zeros(0, np.int32)  # each Gaussian's own number, in ascending order
+        self._serials = 0
         self.window: list[View] = []
         self.keyframes: list[View] = []
         self.frames: list[View] = []
@@ -163,6 +166,8 @@ class Mapper:
         self.map = self.map.concat(new)
         self.adam.extend(len(new))
         self.born = np.concatenate([self.born, born])
+        self.serial = np.concatenate([self.serial, self._serials + np.arange(len(new), dtype=np.int32)])
+        self._serials += len(new)
 
     def _counted(self) -> list[View]:
         """The views that may count what they see of each Gaussian, each once."""
@@ -191,7 +196,7 @@ class Mapper:
         self.frames.append(view)
         if len(self.frames) > self.config.frame_pool:
             gone = self.frames.pop(int(self.rng.integers(len(self.frames))))
-            gone.image = gone.image[:0].copy()
+            gone.image, gone.occlusion = gone.image[:0].copy(), Occlusion()
 
     # -- optimising ----------------------------------------------------------------------------------------------
 
@@ -247,7 +252,10 @@ class Mapper:
 
     def step(self, view: View, refine_pose: bool, rates: LearningRates | None = None) -> float:
         """One render, one backward pass, one Adam step, with the usual ``rates`` or these, on what the view touched."""
-        out = self.renderer.forward(self.map, view.T_wc)
+        least = self.config.hidden_px
+        hidden = view.occlusion.hidden(self.serial) if least else None
+        out = self.renderer.forward(self.map, view.T_wc, hidden=hidden, weigh=least > 0 and hidden is None)
+        self.note_hidden(view, out)
         # What has no Gaussians yet must not make its neighbours spread over it.
         weights = self.weights * (out.opacity > 0.5) if self.config.sweep else self.weights
         loss, gradient, _ = photometric_loss(
@@ -260,6 +268,11 @@ class Mapper:
             sizes = (self.config.pose_rate_translation_rel * z, self.config.pose_rate_rotation)
             view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), pose, sizes))
         return loss
+
+    def note_hidden(self, view: View, render: RenderOutput) -> None:
+        """Remember what the ``view`` can do without, if the render of the whole map, there, says so."""
+        if render.weights is not None:
+            view.occlusion.note(self.serial, render.weights, self.config.hidden_px)
 
     def rates(self, share: float = 1.0, *, held: bool = True) -> LearningRates:
         """``share`` of the usual rates; ``held``: discs are slow to leave their plane."""
@@ -284,7 +297,7 @@ class Mapper:
     def drop(self, gone: NDArray[np.bool_]) -> int:
         dropped, keep = int(np.count_nonzero(gone)), ~gone
         if dropped:
-            self.map, self.born = self.map.select(keep), self.born[keep]
+            self.map, self.born, self.serial = self.map.select(keep), self.born[keep], self.serial[keep]
             self.adam.select(keep)
             for view in self._counted():
                 if view.touched is not None and len(view.touched) <= len(keep):

@@ -229,6 +229,7 @@ class PanogsMethod(OnlineMethod):
         assert seen is not None
         assert last_seen is not None
         view = View(frame.index, frame.image, tracked.T_wc, touched=seen)
+        m.note_hidden(view, tracked.render)
         unknown = m.unknown(view, tracked.render)
         new_share = float(m.weights[unknown].sum())
         distance = float(np.linalg.norm(view.position - last.position)) / m.local_depth(tracked.render)

@@ -104,7 +104,8 @@ class Tracker:
             iterations += a.iterations
         for k in range(max(self.config.tracking_renders, 1)):
             known = k > 0 or self.reference is not None
-            render = self.renderer.forward(gaussians, T, count_touched=True, sloped=True)
+            weigh = self.config.hidden_px > 0
+            render = self.renderer.forward(gaussians, T, count_touched=True, weigh=weigh, sloped=True)
             self.reference, self.T_reference = self.make_reference(render, len(frame)), T
             a = align(self.reference, frame, np.eye(4), self.options, coarsest=1 if known else None)
             T = renormalise(T @ invert_pose(a.T_fr))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, se3_exp
+from panobench.methods.panogs.occlusion import Occlusion
 
 
 @dataclass
@@ -38,6 +39,7 @@ class View:
     offset: float = 0.0
     touched: NDArray[np.int32] | None = None
     pose_adam: PoseAdam = field(default_factory=PoseAdam)
+    occlusion: Occlusion = field(default_factory=Occlusion)
 
     @property
     def position(self) -> NDArray[np.float64]:
