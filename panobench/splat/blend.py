@@ -20,6 +20,7 @@ from panobench.splat.kernel_options import (
     ALPHA_MAX,
     ALPHA_MIN,
     COS_MIN,
+    INLINE_FINITE,
     JIT,
     JIT_FINITE,
     MOMENTS,
@@ -69,7 +70,18 @@ def _wrap_shift(u, x0, wrap):  # type: ignore[no-untyped-def]
     return np.float32(wrap * np.round((x0 + 0.5 * TILE_W - u) / wrap))
 
 
-@njit(inline="always", **JIT_FINITE)
+@njit(**INLINE_FINITE)
+def _offset(p, p1z, p2z, buf, i):  # type: ignore[no-untyped-def]
+    """Whitened offset t of pixel i from instance p, and |t|^2: at least _S_MAX beyond the largest angle."""
+    x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
+    n0 = p[6] * x + p[7] * y + p[8] * z
+    inv = _F1 / max(n0, _COS)
+    t1 = (p[0] * x + p[1] * y + p1z * z) * inv
+    t2 = (p[3] * x + p[4] * y + p2z * z) * inv
+    return t1, t2, t1 * t1 + t2 * t2 if n0 > _COS else _S_MAX
+
+
+@njit(**INLINE_FINITE)
 def _exp_half(s):  # type: ignore[no-untyped-def]
     """exp(-s / 2), for s beyond _S_MAX of that."""
     s = min(s, _S_MAX)
@@ -86,20 +98,14 @@ def _forward_span_of(weigh: bool) -> Callable[..., None]:
 
     @njit(**JIT_FINITE)
     def span(p, p1z, p2z, buf, lo, n, sums, th, k):  # type: ignore[no-untyped-def]
-        p1x, p1y = p[0], p[1]
-        p2x, p2y = p[3], p[4]
-        mx, my, mz, o = p[6], p[7], p[8], p[9]
+        o = p[9]
         cr, cg, cb, cd = p[10], p[11], p[12], p[13]
         d1, d2 = p[18], p[19]
         total = _F0
         for j in range(n):
             i = lo + j
-            x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
-            n0 = mx * x + my * y + mz * z
-            inv = _F1 / max(n0, _COS)
-            t1 = (p1x * x + p1y * y + p1z * z) * inv
-            t2 = (p2x * x + p2y * y + p2z * z) * inv
-            a = min(o * _exp_half(t1 * t1 + t2 * t2 if n0 > _COS else _S_MAX), _A_MAX)
+            t1, t2, square = _offset(p, p1z, p2z, buf, i)
+            a = min(o * _exp_half(square), _A_MAX)
             T = buf[i + _T]
             w = a * T if a >= _A_MIN else _F0
             buf[i + _R] += w * cr
@@ -121,18 +127,12 @@ _forward_span, _forward_span_weighed = _forward_span_of(False), _forward_span_of
 @njit(**JIT_FINITE)
 def _count_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
     """Pixels this instance touches while more than half of the light still passes."""
-    p1x, p1y = p[0], p[1]
-    p2x, p2y = p[3], p[4]
-    mx, my, mz, q_cut = p[6], p[7], p[8], p[14]
+    q_cut = p[14]
     count = _F0
     for j in range(n):
         i = lo + j
-        x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
-        n0 = mx * x + my * y + mz * z
-        inv = _F1 / max(n0, _COS)
-        t1 = (p1x * x + p1y * y + p1z * z) * inv
-        t2 = (p2x * x + p2y * y + p2z * z) * inv
-        hit = (t1 * t1 + t2 * t2 <= q_cut) & (n0 > _COS) & (buf[i + _T] > np.float32(0.5))
+        square = _offset(p, p1z, p2z, buf, i)[2]
+        hit = (square <= q_cut) & (buf[i + _T] > np.float32(0.5))
         count += _F1 if hit else _F0
     return count
 
@@ -199,17 +199,11 @@ def blend_forward(  # type: ignore[no-untyped-def]
 @njit(inline="always", **JIT_FINITE)
 def _alpha_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
     """Alpha (0 where it is cut, not clipped from above) and t of instance p at n pixels from lo."""
-    p1x, p1y = p[0], p[1]
-    p2x, p2y = p[3], p[4]
-    mx, my, mz, o = p[6], p[7], p[8], p[9]
+    o = p[9]
     for j in range(n):
         i = lo + j
-        x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
-        n0 = mx * x + my * y + mz * z
-        inv = _F1 / max(n0, _COS)
-        t1 = (p1x * x + p1y * y + p1z * z) * inv
-        t2 = (p2x * x + p2y * y + p2z * z) * inv
-        a = o * _exp_half(t1 * t1 + t2 * t2 if n0 > _COS else _S_MAX)
+        t1, t2, square = _offset(p, p1z, p2z, buf, i)
+        a = o * _exp_half(square)
         buf[i + _A] = a if a >= _A_MIN else _F0
         buf[i + _T1] = t1
         buf[i + _T2] = t2

@@ -31,6 +31,7 @@ PARALLEL: dict[str, Any] = {**JIT, "parallel": True}
 INLINE: dict[str, Any] = {**JIT, "forceinline": True}
 #: For inner loops that only ever see finite numbers.
 JIT_FINITE: dict[str, Any] = {**JIT, "fastmath": True}
+INLINE_FINITE: dict[str, Any] = {**INLINE, "fastmath": True}
 
 #: Tile size in pixels: one tile row is one AVX-512 or two AVX2 registers.
 TILE_W = 16
