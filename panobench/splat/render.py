@@ -136,9 +136,6 @@ class Renderer:
         self._wrap = float(camera.width) if self.view.projection == CONIC_ERP else 0.0
         self._scene: _Scene | None = None
 
-    def all_tiles(self) -> NDArray[np.int32]:
-        return np.arange(self.view.tiles_x * self.view.tiles_y, dtype=np.int32)
-
     def forward(
         self,
         gaussians: GaussianMap,
@@ -150,7 +147,8 @@ class Renderer:
         hidden: NDArray[np.bool_] | None = None,
         tiles: NDArray[np.int32] | None = None,
     ) -> RenderOutput:
-        """Render from camera-to-world pose ``T_wc``; ``tiles`` restricts it to those tiles (others stay black).
+        """Render from camera-to-world pose ``T_wc``, in all tiles with valid pixels or in these ``tiles`` (others stay
+        black).
 
         ``hidden`` (N,): Gaussians that are left out, because they are known to lie behind others.
 
@@ -173,14 +171,12 @@ class Renderer:
             key[hidden] = -1.0
         order = binning.radix_order(key)
         packed, rows, cols = binning.gather(order, packed, rows, cols)
-        drawn = np.ones(v.tiles_x * v.tiles_y, np.bool_)
-        if tiles is not None:
-            drawn[:] = False
-            drawn[tiles] = True
+        tiles = v.tiles if tiles is None else tiles
+        drawn = np.zeros(v.tiles_x * v.tiles_y, np.bool_)
+        drawn[tiles] = True
         starts, entries, spans = binning.bin_tiles(
             packed, rows, cols, v.bound, v.cones, v.intrinsics, drawn, self.threads
         )
-        tiles = self.all_tiles() if tiles is None else tiles
         new = np.empty if len(tiles) == v.tiles_x * v.tiles_y else np.zeros
         planes = new((3, v.height, v.width), np.float32)
         depth, opacity = new((v.height, v.width), np.float32), new((v.height, v.width), np.float32)

@@ -25,6 +25,7 @@ class View:
 
     rays (3, H, W) float32: unit rays ("sphere") or (u, v, 1) (first-order projections); 0 where there is none.
     cones (tiles, 4): mean ray and cosine of the angular radius of each tile, for BOUND_CONES.
+    tiles (K,) int32: those with a valid pixel. In a panorama of a limited field of view the others are never asked for.
     intrinsics (8,): W, H, fx, fy, cx, cy, limit_x, limit_y (the last two bound x/z, y/z inside pinhole Jacobians).
     """
 
@@ -34,6 +35,7 @@ class View:
     bound: int
     rays: NDArray[np.float32]
     cones: NDArray[np.float32]
+    tiles: NDArray[np.int32]
     intrinsics: NDArray[np.float64]
     pixel_angle: float
 
@@ -72,7 +74,14 @@ def make_view(camera: Camera, projection: Projection = "sphere") -> View:
         bound, code = BOUND_PIXELS, CONIC_ERP if projection == "erp" else CONIC_PINHOLE
     angle = 2 * np.pi / W if camera.kind == "erp" else _pixel_angle(camera)
     cones = _tile_cones(rays) if bound == BOUND_CONES else np.zeros((0, 4), np.float32)
-    return View(W, H, code, bound, np.ascontiguousarray(rays), cones, intrinsics, angle)
+    return View(W, H, code, bound, np.ascontiguousarray(rays), cones, _tiles_of(camera), intrinsics, angle)
+
+
+def _tiles_of(camera: Camera) -> NDArray[np.int32]:
+    valid = camera.valid_mask()
+    rows, columns = np.arange(0, valid.shape[0], TILE_H), np.arange(0, valid.shape[1], TILE_W)
+    some = np.logical_or.reduceat(np.logical_or.reduceat(valid, rows, axis=0), columns, axis=1)
+    return np.flatnonzero(some).astype(np.int32)
 
 
 def _pixel_angle(camera: Camera) -> float:

@@ -13,12 +13,14 @@ from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.rooms.dataset import RoomsDataset
 from panobench.depth.base import DepthEstimator
 from panobench.depth.bootstrap import BootstrapDepth
+from panobench.depth.simple import OracleDepth
 from panobench.geometry import umeyama
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.recent import RecentFrame
 from panobench.methods.panogs.system import PanogsMethod, _Record
 from panobench.methods.panogs.views import View
+from panobench.testing.sequences import TinySequence, rotating_pose, smooth_pose
 from panobench.types import DepthEstimate, Frame
 
 
@@ -38,6 +40,23 @@ def test_tracks_a_pinhole_view_of_a_room() -> None:
     fit = umeyama(estimate.trajectory.positions, truth.positions)
     error = np.linalg.norm(fit.apply_points(estimate.trajectory.positions) - truth.positions, axis=1)
     assert np.sqrt(np.mean(error**2)) < 0.025
+
+
+@pytest.mark.slow
+def test_a_panorama_of_a_limited_field_of_view_is_not_lost_as_the_map_grows_beyond_it() -> None:
+    """The map outgrows the view; what lies outside of it says nothing about the frame."""
+    camera = ErpCamera(128, 64, hfov_deg=120.0)
+    sequence = TinySequence(camera, 40, pose=lambda t: smooth_pose(0.5 * t) @ rotating_pose(t))
+    method = PanogsMethod(PanogsConfig(mapping_iterations=4, final_iterations=0))
+    method.start(camera, MethodContext(make_depth=OracleDepth))
+    for i in range(len(sequence)):
+        frame = Frame(i, float(sequence.times[i]), sequence.image(i), depth=sequence.depth(i))
+        assert method.track(frame) is not None
+    assert method.tracker.reference is not None
+    render = method.renderer.forward(method.mapper.map, method._pose(39))
+    level = method.tracker.make_reference(render, 3).levels[0]
+    x, z = level.points[0], level.points[2]
+    assert np.abs(np.rad2deg(np.arctan2(x, z))).max() < 60
 
 
 def _turning(camera: Camera, degrees: float) -> int:

@@ -95,6 +95,18 @@ def test_tiles_restrict_the_image() -> None:
     assert not some[~tile].any()
 
 
+def test_only_tiles_within_the_field_of_view_are_drawn() -> None:
+    """And those as they are in the full panorama."""
+    g = random_scene(80, 5, "erp")
+    half = ErpCamera(72, 36, hfov_deg=120.0, lat_min_deg=0.0)
+    full, some = (Renderer(c, stop=0.0).forward(g, POSE).colour for c in (CAMERAS["erp"], half))
+    valid = half.valid_mask()
+    assert full[valid].any()
+    np.testing.assert_array_equal(some[valid], full[valid])
+    assert not some[:, :TILE_W].any()
+    assert not some[2 * TILE_H :].any()
+
+
 def test_projection_must_fit_the_camera() -> None:
     distorted = PinholeCamera.from_dict({**CAMERAS["pinhole"].to_dict(), "distortion": [0.1, 0, 0, 0]})
     wrong: list[tuple[Camera, Projection]] = [(CAMERAS["erp"], "pinhole"), (CAMERAS["pinhole"], "erp")]

@@ -139,7 +139,7 @@ class Mapper:
 
     def local_depth(self, render: RenderOutput) -> float:
         """Median rendered depth, from every fourth row and column; the first map's where nothing is drawn."""
-        depth = render.depth[::4, ::4][render.opacity[::4, ::4] > 0.5]
+        depth = render.depth[::4, ::4][(render.opacity[::4, ::4] > 0.5) & (self.weights[::4, ::4] > 0)]
         return float(np.median(depth)) if depth.size else self.median_depth
 
     def thin(self, render: RenderOutput) -> NDArray[np.bool_]:

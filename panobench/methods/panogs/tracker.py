@@ -115,13 +115,16 @@ class Tracker:
         return Tracked(T, render, a.cost, iterations, bool(np.isfinite(a.cost)) and a.overlap > 0.5, a)
 
     def make_reference(self, render: RenderOutput, levels: int) -> Reference:
-        depth = render.expected_depth(OPACITY_MIN)
-        reference = make_reference(self.camera, luma_of_planes(render.planes), depth, levels, self.options)
+        # What is outside the field of view could only be looked for in vain, and would count as not found.
+        unknown = np.float32(np.nan)
+        depth = np.where(self.valid, render.expected_depth(OPACITY_MIN), unknown)
+        luma = np.where(self.valid, luma_of_planes(render.planes), unknown)
+        reference = make_reference(self.camera, luma, depth, levels, self.options)
         return reweighted(reference, self.config.loss)
 
     def moved_px(self, T: NDArray[np.float64], render: RenderOutput) -> float:
         """How far the motion ``T`` moves a pixel at the median depth, roughly."""
-        depth = float(np.median(render.depth))
+        depth = float(np.median(render.depth[self.valid]))
         return float(np.linalg.norm(T[:3, 3]) / max(depth, 1e-9) + np.linalg.norm(T[:3, :3] - np.eye(3))) / self.pixel
 
     def _track_adam(self, image: NDArray[np.uint8], gaussians: GaussianMap, T_wc: NDArray[np.float64]) -> Tracked:
