@@ -164,9 +164,7 @@ def test_groups_out_of_sight_sleep_and_wake_with_their_optimiser_state() -> None
     seeded = scene()[1].map
     n = len(seeded)
     mapper = Mapper(camera, Renderer(camera), PanogsConfig(), seed=0)
-    mapper.map = seeded.concat(seeded)
-    mapper.born = np.repeat([1, 2], n).astype(np.int32)
-    mapper.adam.extend(2 * n)
+    mapper.append(seeded.concat(seeded), np.repeat([1, 2], n).astype(np.int32))
     mapper.adam.m[:] = np.arange(2 * n)[:, None]
     mapper.adam.steps[:] = np.arange(2 * n)
     dormant, slept = Dormant(), 0

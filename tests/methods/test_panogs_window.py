@@ -121,9 +121,7 @@ def test_carving_removes_a_veil_and_leaves_the_rest() -> None:
         np.full(2, 4.0, np.float32),
         np.full((2, 3), 0.5, np.float32),
     )
-    mapper.map = mapper.map.concat(veil)
-    mapper.adam.extend(2)
-    mapper.born = np.concatenate([mapper.born, np.zeros(2, np.int32)])
+    mapper.append(veil, np.zeros(2, np.int32))
     render = mapper.renderer.forward(mapper.map, view.T_wc)
     covered = render.depth < 0.8 * depth
     dropped = mapper.carve(view, covered, depth)
