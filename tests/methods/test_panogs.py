@@ -72,6 +72,15 @@ def test_paper_preset_tracks() -> None:
     assert ate < 0.05
 
 
+def test_wide_views_have_fewer_keyframes() -> None:
+    """A panorama still sees most of what it saw, so twice the way may lie between keyframes."""
+    few, many = (
+        run(PanogsConfig(mapping_iterations=1, final_iterations=0, keyframe_wide=wide), OracleDepth, frames=14)[0]
+        for wide in (2.0, 0.5)
+    )
+    assert 2 <= len(few.keyframes) < len(many.keyframes)
+
+
 @pytest.mark.parametrize("value", [0, 255])
 def test_a_sequence_without_texture_ends_without_an_exception(value: int) -> None:
     method = PanogsMethod(PanogsConfig(mapping_iterations=2, initial_iterations=2))

@@ -28,6 +28,7 @@ class PanogsConfig:
     keyframe_overlap: float = 0.9
     keyframe_min_rel: float = 0.05
     keyframe_max_rel: float = 0.08
+    keyframe_wide: float = 1.5  # both times so much in wide views: they still see most of it from there
     keyframe_interval: int = 5
     keyframe_new: float = 0.04
     keyframe_new_interval: int = 4
@@ -77,7 +78,7 @@ class PanogsConfig:
     split_new: float = 0.02  # with more of the image unknown or wrong nothing is split: that is not for want of detail
     prune_opacity: float = 0.05
     hidden_px: float = 0.01  # a view's steps leave out what makes up fewer of its pixels than that, in sum
-    final_iterations: int = 9  # steps per keyframe at the end, on all views, with falling rates
+    final_iterations: int = 15  # steps per keyframe at the end, on all views, with falling rates
     loop: bool = False  # close loops: parts of the map long out of sight sleep, are recognised, correct the drift since
     # Depth of the first frame when the run names no estimator
     constant_depth: float = 2.0
@@ -100,6 +101,7 @@ PAPER: dict[str, Any] = {
     "projection": "erp",
     "relocalise": False,
     "keyframe_new": 1.0,
+    "keyframe_wide": 1.0,
     "densify": False,
     "hidden_px": 0.0,
     "pixels_per_gaussian": 4.0,
@@ -130,5 +132,5 @@ PAPER: dict[str, Any] = {
     "isotropy": 10.0,
 }
 #: For those who want the trajectory soon and a sketch of the map.
-FAST: dict[str, Any] = {"mapping_iterations": 4, "final_iterations": 2}
+FAST: dict[str, Any] = {"mapping_iterations": 5, "final_iterations": 3}
 PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER, "fast": FAST}

@@ -233,6 +233,8 @@ class PanogsMethod(OnlineMethod):
         unknown = m.unknown(view, tracked.render)
         new_share = float(m.weights[unknown].sum())
         distance = float(np.linalg.norm(view.position - last.position)) / m.local_depth(tracked.render)
+        if not self.look_back.view_share.narrow:
+            distance /= self.config.keyframe_wide
         self.numbers.setdefault(frame.index, {})["new_share"] = new_share
         if not is_keyframe(
             self.config, seen > 0, last_seen > 0, distance, abs(frame.index - last.index),
