@@ -177,7 +177,8 @@ def test_seeded_discs_lie_in_the_wall_and_reproduce_the_image() -> None:
 @pytest.mark.parametrize(
     ("option", "value"),
     [("final_iterations", -1), ("mapping_iterations", -3), ("colour_rate", float("nan")), ("pixels_per_gaussian", 0),
-     ("adam_beta2", 1.0), ("window", 0), ("tracking_pixels", 0), ("keyframe_wide", 0.0), ("keyframe_overlap", float("inf"))],
+     ("adam_beta2", 1.0), ("window", 0), ("tracking_pixels", 0), ("keyframe_overlap", float("inf")),
+     ("keyframe_wide", 0.0)],
 )  # fmt: skip
 def test_options_that_make_no_sense_are_refused(option: str, value: float) -> None:
     with pytest.raises(ValueError, match=option):

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
+_POSITIVE = ("constant_depth", "keyframe_wide", "pixels_per_gaussian", "scale_factor", "tracking_pixels", "window")
+
 
 @dataclass(frozen=True)
 class PanogsConfig:
@@ -88,14 +90,7 @@ class PanogsConfig:
             value = getattr(self, f.name)
             if isinstance(value, (int, float)) and not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{f.name} must be a number from 0 up, not {value}")
-        for name in (
-            "constant_depth",
-            "pixels_per_gaussian",
-            "scale_factor",
-            "tracking_pixels",
-            "window",
-            "keyframe_wide",
-        ):
+        for name in _POSITIVE:
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be above 0")
         for name in ("adam_beta1", "adam_beta2", "initial_opacity"):
