@@ -7,7 +7,7 @@ from numba import njit, prange
 
 from panobench.splat.kernel_options import INLINE, JIT, PARALLEL, TILE_H, TILE_W
 from panobench.splat.slabs import slab_rows
-from panobench.splat.view import BOUND_CONES, BOUND_FLAT, BOUND_LATLON
+from panobench.splat.view import BOUND_CONES
 
 
 @njit(**JIT)
@@ -110,7 +110,9 @@ def _tiles_met(k0, k1, packed, cones, W, H, which, columns, first, last):  # typ
 
 
 @njit(**PARALLEL)
-def bin_tiles(packed, rows, cols, bound, cones, intr, drawn, threads):  # type: ignore[no-untyped-def]
+def bin_tiles(  # type: ignore[no-untyped-def]
+    packed, rows, cols, bound, cones, column_axes, column_half, intr, drawn, threads
+):
     """Tile lists in depth order for instances already sorted by depth: starts (tiles + 1,), entries (E,), spans (E, 2).
 
     spans: first row within the tile and number of rows that the entry may colour. drawn (tiles,): tiles that need a
@@ -142,8 +144,10 @@ def bin_tiles(packed, rows, cols, bound, cones, intr, drawn, threads):  # type: 
             _tiles_met(k0, k1, packed, cones, W, H, mine[0], mine[1], mine[2], mine[3])
         else:
             _slabs(k0, k1, cols, W, mine[0], mine[1])
-            if bound in (BOUND_LATLON, BOUND_FLAT):
-                slab_rows(mine[0], mine[1], packed, rows, bound, intr, mine[2], mine[3])
+            if len(column_axes) > 0:
+                slab_rows(
+                    mine[0], mine[1], packed, rows, bound, column_axes, column_half, intr, mine[2], mine[3]
+                )  # fmt: skip
             else:
                 for s in range(mine.shape[1]):
                     mine[2, s], mine[3, s] = rows[mine[0, s], 0], rows[mine[0, s], 1]

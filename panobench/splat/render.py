@@ -175,7 +175,7 @@ class Renderer:
         drawn = np.zeros(v.tiles_x * v.tiles_y, np.bool_)
         drawn[tiles] = True
         starts, entries, spans = binning.bin_tiles(
-            packed, rows, cols, v.bound, v.cones, v.intrinsics, drawn, self.threads
+            packed, rows, cols, v.bound, v.cones, v.column_axes, v.column_half, v.intrinsics, drawn, self.threads
         )
         new = np.empty if len(tiles) == v.tiles_x * v.tiles_y else np.zeros
         planes = new((3, v.height, v.width), np.float32)

@@ -15,14 +15,13 @@ from numba import njit
 
 from panobench.photometric.warp import atan2_fast
 from panobench.splat.block import BLOCK, channels
-from panobench.splat.kernel_options import INLINE, JIT, TILE_W
+from panobench.splat.kernel_options import INLINE, JIT
 from panobench.splat.view import BOUND_LATLON
 
 # Offsets in a block's buffer: the footprint, the directions a and x of its column (without y), and the rows reached.
 _P1, _P2, _M = channels(0, 3), channels(3, 3), channels(6, 3)
 _CUT, _AX, _AZ, _XX, _XZ, _FIRST, _LAST = channels(9, 7)
-#: Channels of a block of slabs.
-SLAB_CHANNELS = 16
+_CHANNELS = 16
 #: Of a pixel, the slack for rounding.
 _SLACK = np.float32(0.02)
 #: An ellipse of which det / (Qxx Qyy) is smaller is too thin for float32; its rectangle has to do.
@@ -97,30 +96,13 @@ def _rows_flat(buf, n, half, fy, cy):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def _axes_of_columns(bound, intr):  # type: ignore[no-untyped-def]
-    """Directions a and x (tiles_x, 4) of the columns of tiles, and the largest X of a pixel in one."""
-    W = intr[0]
-    axes = np.empty((int(W + TILE_W - 1) // TILE_W, 4), np.float32)
-    step = 2.0 * np.pi / W if bound == BOUND_LATLON else 1.0 / intr[2]
-    for c in range(len(axes)):
-        centre = (c + 0.5) * TILE_W
-        if bound == BOUND_LATLON:
-            sin, cos = np.sin(step * centre - np.pi), np.cos(step * centre - np.pi)
-            axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3] = sin, cos, cos, -sin
-        else:
-            axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3] = (centre - intr[4]) * step, 1.0, 1.0, 0.0
-    half = 0.5 * (TILE_W - 1) * step
-    return axes, np.float32(1.002 * (np.tan(min(half, 1.5)) if bound == BOUND_LATLON else half))
-
-
-@njit(**JIT)
-def slab_rows(which, columns, packed, rows, bound, intr, first, last):  # type: ignore[no-untyped-def]
+def slab_rows(which, columns, packed, rows, bound, axes, half, intr, first, last):  # type: ignore[no-untyped-def]
     """First and last row (S,) int32 of the slabs of instances ``which`` (S,) in the columns of tiles ``columns`` (S,).
 
-    ``first`` is beyond ``last`` where a slab is empty. packed, rows: as ``project`` left them.
+    ``first`` is beyond ``last`` where a slab is empty. packed, rows: as ``project`` left them; axes (tiles_x, 4),
+    half: the view's.
     """
-    buf = np.empty(SLAB_CHANNELS * BLOCK, np.float32)
-    axes, half = _axes_of_columns(bound, intr)
+    buf = np.empty(_CHANNELS * BLOCK, np.float32)
     H = np.float32(intr[1])
     for s0 in range(0, len(which), BLOCK):
         n = min(BLOCK, len(which) - s0)

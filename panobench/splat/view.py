@@ -17,6 +17,8 @@ Projection = Literal["sphere", "erp", "pinhole"]
 SPHERE, CONIC_ERP, CONIC_PINHOLE = 0, 1, 2
 #: How a footprint is bounded: latitude/longitude rectangle (ERP), rectangle in pixels, cone per tile.
 BOUND_LATLON, BOUND_PIXELS, BOUND_CONES, BOUND_FLAT = 0, 1, 2, 3
+# Half of the longitudes (rad) that a column of tiles may span and still lie before one plane.
+_LARGEST_HALF = 1.5
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,8 @@ class View:
 
     rays (3, H, W) float32: unit rays ("sphere") or (u, v, 1) (first-order projections); 0 where there is none.
     cones (tiles, 4): mean ray and cosine of the angular radius of each tile, for BOUND_CONES.
+    column_axes (tiles_x, 4) float32: x and z of the directions a and x (see slabs.py) of each column of tiles, and
+    column_half: the largest X of a pixel in one; (0, 4) for cameras without columns that a plane can hold.
     tiles (K,) int32: those with a valid pixel. In a panorama of a limited field of view the others are never asked for.
     intrinsics (8,): W, H, fx, fy, cx, cy, limit_x, limit_y (the last two bound x/z, y/z inside pinhole Jacobians).
     """
@@ -35,6 +39,8 @@ class View:
     bound: int
     rays: NDArray[np.float32]
     cones: NDArray[np.float32]
+    column_axes: NDArray[np.float32]
+    column_half: np.float32
     tiles: NDArray[np.int32]
     intrinsics: NDArray[np.float64]
     pixel_angle: float
@@ -74,7 +80,24 @@ def make_view(camera: Camera, projection: Projection = "sphere") -> View:
         bound, code = BOUND_PIXELS, CONIC_ERP if projection == "erp" else CONIC_PINHOLE
     angle = 2 * np.pi / W if camera.kind == "erp" else _pixel_angle(camera)
     cones = _tile_cones(rays) if bound == BOUND_CONES else np.zeros((0, 4), np.float32)
-    return View(W, H, code, bound, np.ascontiguousarray(rays), cones, _tiles_of(camera), intrinsics, angle)
+    axes, half = _columns(bound, intrinsics)
+    tiles = _tiles_of(camera)
+    return View(W, H, code, bound, np.ascontiguousarray(rays), cones, axes, half, tiles, intrinsics, angle)
+
+
+def _columns(bound: int, intrinsics: NDArray[np.float64]) -> tuple[NDArray[np.float32], np.float32]:
+    """``column_axes`` and, with a little slack, ``column_half``."""
+    W, _, fx, _, cx = intrinsics[:5]
+    centre, half = (np.arange(-(-W // TILE_W)) + 0.5) * TILE_W, 0.5 * (TILE_W - 1)
+    if bound == BOUND_LATLON and half * 2 * np.pi / W < _LARGEST_HALF:
+        lon, half = centre * (2 * np.pi / W) - np.pi, np.tan(half * 2 * np.pi / W)
+        axes = np.stack([np.sin(lon), np.cos(lon), np.cos(lon), -np.sin(lon)], axis=1)
+    elif bound == BOUND_FLAT:
+        one = np.ones_like(centre)
+        axes, half = np.stack([(centre - cx) / fx, one, one, 0 * one], axis=1), half / fx
+    else:
+        return np.zeros((0, 4), np.float32), np.float32(0)
+    return axes.astype(np.float32), np.float32(1.002 * half)
 
 
 def _tiles_of(camera: Camera) -> NDArray[np.int32]:

@@ -44,6 +44,7 @@ class Tracker:
     def __init__(self, camera: Camera, renderer: Renderer, config: PanogsConfig) -> None:
         self.camera, self.renderer, self.config = camera, renderer, config
         self.valid = camera.valid_mask()
+        self.outside = ~self.valid
         self.weights = pixel_weights(camera, config.loss)
         pixels = None if ViewShare(camera).narrow else config.tracking_pixels
         fine = AlignOptions(
@@ -116,9 +117,8 @@ class Tracker:
 
     def make_reference(self, render: RenderOutput, levels: int) -> Reference:
         # What is outside the field of view could only be looked for in vain, and would count as not found.
-        unknown = np.float32(np.nan)
-        depth = np.where(self.valid, render.expected_depth(OPACITY_MIN), unknown)
-        luma = np.where(self.valid, luma_of_planes(render.planes), unknown)
+        depth, luma = render.expected_depth(OPACITY_MIN), luma_of_planes(render.planes)
+        depth[self.outside] = luma[self.outside] = np.nan
         reference = make_reference(self.camera, luma, depth, levels, self.options)
         return reweighted(reference, self.config.loss)
 
