@@ -41,8 +41,8 @@ EARLY_ROOMS, RELEASE = 24, 12
 def make_room(k: int) -> tuple[NDArray[np.uint8], NDArray[np.float16]]:
     """Images (V, H, W, 3) and log radial distance (V, H, W) of room k from VIEWS random places in it."""
     from panobench.cameras.erp import ErpCamera
-    from panobench.datasets.rooms import motion, render
-    from panobench.datasets.rooms.world import World
+    from panobench.rooms import motion, render
+    from panobench.rooms.world import World
 
     rng = np.random.default_rng([FIRST_SEED, k])
     world = World(KINDS[k % len(KINDS)], FIRST_SEED + k, None)

@@ -42,7 +42,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "rooms",
         "built-in furnished rooms, ray cast with exact poses and depth",
-        "panobench.datasets.rooms.dataset:RoomsDataset",
+        "panobench.datasets.rooms:RoomsDataset",
         needs_root=False,
         camera="erp",
     ),

@@ -72,7 +72,7 @@ def find_vocabulary(option: str, sequence: Sequence, log: Callable[[str], None] 
 
 def cache_folder() -> Path:
     """Where trained vocabularies are kept."""
-    from panobench.datasets.rooms.cache import cache_root
+    from panobench.rooms.cache import cache_root
 
     return cache_root() / "orb-vocabulary"
 

@@ -13,7 +13,7 @@ from panobench.datasets.base import Sequence
 from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.disturb import roll_columns
 from panobench.datasets.disturbed import DisturbedDataset
-from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.datasets.rooms import RoomsDataset
 from panobench.depth.bootstrap import BootstrapDepth, BootstrapOptions
 from panobench.depth.bootstrap_solve import spread_over_path
 from panobench.photometric.overlap import ViewShare

@@ -7,7 +7,7 @@ import pytest
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.datasets.rooms import RoomsDataset
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.depth.simple import OracleDepth
 from panobench.geometry import umeyama

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, se3_log, umeyama
 from panobench.methods.panogs import backend
 from panobench.methods.panogs.backend import Backend, followed, moved_by

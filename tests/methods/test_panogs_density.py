@@ -5,7 +5,7 @@ import pytest
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, make_pose, matrix_from_quat
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.detail import EVEN, LEVELS, SeedPattern

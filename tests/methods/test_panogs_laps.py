@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs import backend, laps
 from panobench.methods.panogs.backend import Backend

@@ -10,7 +10,7 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.datasets.converted import ConvertedSequence
-from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.datasets.rooms import RoomsDataset
 from panobench.depth.base import DepthEstimator
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.depth.simple import OracleDepth

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from panobench.datasets.base import Sequence
-from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.datasets.rooms import RoomsDataset
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.geometry import invert_pose
 from panobench.methods.base import MethodContext

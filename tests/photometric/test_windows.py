@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from panobench.datasets.rooms.dataset import RoomsDataset
+from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, se3_log, umeyama
 from panobench.photometric.bundle import Bundle, BundleOptions, refine
 from panobench.photometric.pyramid import luma_of_frame

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from panobench.datasets.rooms import flats, plans, singles
-from panobench.datasets.rooms.motion import Motion
-from panobench.datasets.rooms.plans import Plan
+from panobench.rooms import flats, plans, singles
+from panobench.rooms.motion import Motion
+from panobench.rooms.plans import Plan
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from panobench.datasets.rooms import fixtures as fx
-from panobench.datasets.rooms import furniture as fu
-from panobench.datasets.rooms import household as hh
-from panobench.datasets.rooms import small
-from panobench.datasets.rooms.fixtures import Opening
-from panobench.datasets.rooms.mesh import Builder, Material, Mesh
-from panobench.datasets.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, hang_pictures
+from panobench.rooms import fixtures as fx
+from panobench.rooms import furniture as fu
+from panobench.rooms import household as hh
+from panobench.rooms import small
+from panobench.rooms.fixtures import Opening
+from panobench.rooms.mesh import Builder, Material, Mesh
+from panobench.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, hang_pictures
 
 
 @dataclass

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from panobench.datasets.rooms import fixtures as fx
-from panobench.datasets.rooms.fixtures import Opening
-from panobench.datasets.rooms.mesh import Builder, Material
+from panobench.rooms import fixtures as fx
+from panobench.rooms.fixtures import Opening
+from panobench.rooms.mesh import Builder, Material
 
 SIDES = ("south", "east", "north", "west")
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.rooms import shading, visibility
-from panobench.datasets.rooms.scene import Geometry, Scene
+from panobench.rooms import shading, visibility
+from panobench.rooms.scene import Geometry, Scene
 
 SUB = 4  # visibility samples per pixel side
 

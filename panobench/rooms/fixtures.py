@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from panobench.datasets.rooms.mesh import Builder, Material
+from panobench.rooms.mesh import Builder, Material
 
 WHITE = Material("smooth:232,230,224", 2.5)
 FRAME = Material("smooth:238,237,233", 1.5)

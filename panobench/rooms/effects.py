@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.rooms.options import RoomOptions
 from panobench.geometry import invert_pose, renormalise, se3_exp, se3_log
+from panobench.rooms.options import RoomOptions
 
 Array = NDArray[np.float64]
 

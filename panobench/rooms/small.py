@@ -6,8 +6,8 @@ import colorsys
 
 import numpy as np
 
-from panobench.datasets.rooms.fixtures import BLACK, STEEL
-from panobench.datasets.rooms.mesh import LEAF, Builder, Material
+from panobench.rooms.fixtures import BLACK, STEEL
+from panobench.rooms.mesh import LEAF, Builder, Material
 
 
 def books(

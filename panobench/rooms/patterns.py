@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from panobench.datasets.rooms.noise import (
+from panobench.rooms.noise import (
     Field,
     cells,
     fractal,

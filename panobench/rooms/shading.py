@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from panobench.datasets.rooms.trace import trace
-from panobench.datasets.rooms.visibility import COARSE_H, COARSE_W, FINE_H, FINE_W, candidates, edge_functions, nearest
+from panobench.rooms.trace import trace
+from panobench.rooms.visibility import COARSE_H, COARSE_W, FINE_H, FINE_W, candidates, edge_functions, nearest
 
 MAX_TAPS = 8.0
 FAST = {"contract", "nsz", "reassoc", "arcp"}

@@ -14,9 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from panobench.datasets.rooms.scene import Geometry, Surfaces
-from panobench.datasets.rooms.shading import GLOW, node_light
-from panobench.datasets.rooms.trace import trace as trace_ray
+from panobench.rooms.scene import Geometry, Surfaces
+from panobench.rooms.shading import GLOW, node_light
+from panobench.rooms.trace import trace as trace_ray
 
 LIGHT_SAMPLES = 4  # squared: points per light
 BOUNCE_RAYS = 8  # squared: rays per node

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.rooms.mesh import TRIANGLE, Mesh
-from panobench.datasets.rooms.textures import TextureAtlas, make_texture, pack
-from panobench.datasets.rooms.trace import build_bvh, plane_rows
+from panobench.rooms.mesh import TRIANGLE, Mesh
+from panobench.rooms.textures import TextureAtlas, make_texture, pack
+from panobench.rooms.trace import build_bvh, plane_rows
 
 Array = NDArray[np.float64]
 

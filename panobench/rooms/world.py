@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.rooms import cache, motion
-from panobench.datasets.rooms.kinds import KINDS, Kind
-from panobench.datasets.rooms.mesh import TRIANGLE
-from panobench.datasets.rooms.plans import Plan
-from panobench.datasets.rooms.render import worker_count
-from panobench.datasets.rooms.scene import Geometry, Scene, Surfaces, make_geometry, make_surfaces
+from panobench.rooms import cache, motion
+from panobench.rooms.kinds import KINDS, Kind
+from panobench.rooms.mesh import TRIANGLE
+from panobench.rooms.plans import Plan
+from panobench.rooms.render import worker_count
+from panobench.rooms.scene import Geometry, Scene, Surfaces, make_geometry, make_surfaces
 
 Array = NDArray[np.float64]
 NOVEL_VIEWS = 8
@@ -68,7 +68,7 @@ class World:
         return make_surfaces(self.plan.mesh, self.seed, worker_count())
 
     def _bake(self, folder: Path) -> None:
-        from panobench.datasets.rooms.bake import bake
+        from panobench.rooms.bake import bake
 
         g = self.geometry
         surfaces = self._surfaces

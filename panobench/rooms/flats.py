@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from panobench.datasets.rooms import fixtures as fx
-from panobench.datasets.rooms import furniture as fu
-from panobench.datasets.rooms import household as hh
-from panobench.datasets.rooms import small
-from panobench.datasets.rooms.fixtures import Opening
-from panobench.datasets.rooms.mesh import Builder, Material
-from panobench.datasets.rooms.plans import Plan, pick, place, unit
-from panobench.datasets.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, hang_pictures
+from panobench.rooms import fixtures as fx
+from panobench.rooms import furniture as fu
+from panobench.rooms import household as hh
+from panobench.rooms import small
+from panobench.rooms.fixtures import Opening
+from panobench.rooms.mesh import Builder, Material
+from panobench.rooms.plans import Plan, pick, place, unit
+from panobench.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, hang_pictures
 
 WALL = 0.16  # thickness between rooms
 DOORWAY = 1.05

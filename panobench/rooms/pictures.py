@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from panobench.datasets.rooms.noise import (
+from panobench.rooms.noise import (
     Field,
     cells,
     fractal,

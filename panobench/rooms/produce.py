@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.cameras.factory import upright_rotation
-from panobench.datasets.rooms import effects, render
-from panobench.datasets.rooms.options import RoomOptions
-from panobench.datasets.rooms.world import World
 from panobench.geometry import make_pose
+from panobench.rooms import effects, render
+from panobench.rooms.options import RoomOptions
+from panobench.rooms.world import World
 
 Array = NDArray[np.float64]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from panobench.datasets.rooms import furniture as fu
-from panobench.datasets.rooms import small
-from panobench.datasets.rooms.fixtures import BLACK, BRASS, CABLE, STEEL
-from panobench.datasets.rooms.mesh import Builder, Material
+from panobench.rooms import furniture as fu
+from panobench.rooms import small
+from panobench.rooms.fixtures import BLACK, BRASS, CABLE, STEEL
+from panobench.rooms.mesh import Builder, Material
 
 LINEN = Material("fabric:226,224,216", 0.8)
 

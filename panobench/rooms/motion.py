@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from panobench.datasets.rooms.mesh import Mesh
-from panobench.datasets.rooms.trace import clearances
 from panobench.geometry import make_pose
+from panobench.rooms.mesh import Mesh
+from panobench.rooms.trace import clearances
 
 Array = NDArray[np.float64]
 

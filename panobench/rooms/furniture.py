@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from panobench.datasets.rooms import small
-from panobench.datasets.rooms.fixtures import BLACK, BRASS, CABLE, STEEL
-from panobench.datasets.rooms.mesh import Builder, Material
+from panobench.rooms import small
+from panobench.rooms.fixtures import BLACK, BRASS, CABLE, STEEL
+from panobench.rooms.mesh import Builder, Material
 
 
 def legs(

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.datasets.base import Dataset, Sequence
-from panobench.datasets.rooms import cache
-from panobench.datasets.rooms.kinds import KINDS
-from panobench.datasets.rooms.options import RoomOptions, parse_name
-from panobench.datasets.rooms.produce import Studio
-from panobench.datasets.rooms.world import World
 from panobench.errors import DatasetError, UnknownNameError
+from panobench.rooms import cache
+from panobench.rooms.kinds import KINDS
+from panobench.rooms.options import RoomOptions, parse_name
+from panobench.rooms.produce import Studio
+from panobench.rooms.world import World
 from panobench.types import NovelView, Trajectory
 
 DEFAULT_WIDTH = 512

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.rooms import patterns, pictures
-from panobench.datasets.rooms.noise import Field, linear
+from panobench.rooms import patterns, pictures
+from panobench.rooms.noise import Field, linear
 
 _WOODS = {
     "oak": (linear(120, 78, 40), linear(196, 148, 92)),
