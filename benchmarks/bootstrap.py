@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from panobench.bench.tables import text_table
 from panobench.cameras.factory import parse_camera_option
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.disturb import Disturbances, Disturber, roll_columns
 from panobench.datasets.open import open_sequence
@@ -38,10 +38,10 @@ ROOMS = ("synpano/devroom", "room1", "room2", "room3", "room4", "room5", "tiny")
 TURN_STEP = 3.0
 
 
-class Start(Sequence):
+class Start(FrameSequence):
     """Frames ``index`` of a panorama's sequence, each turned to the right by ``angle_deg``."""
 
-    def __init__(self, source: Sequence, index: NDArray[np.intp], angle_deg: NDArray[np.float64]) -> None:
+    def __init__(self, source: FrameSequence, index: NDArray[np.intp], angle_deg: NDArray[np.float64]) -> None:
         self.source, self.index, self.angle = source, index, angle_deg
         self.name, self.dataset, self.camera = source.name, source.dataset, source.camera
         self.times = np.arange(len(index)) / 15.0
@@ -71,7 +71,7 @@ class Start(Sequence):
         return Trajectory(self.times, np.stack(T))
 
 
-def opened(room: str, root: Path | None, case: str, width: int, first: int) -> Sequence:
+def opened(room: str, root: Path | None, case: str, width: int, first: int) -> FrameSequence:
     """The sequence that a case of a room is, ``width`` pixels for the whole turn."""
     dataset, _, name = room.rpartition("/")
     source = open_sequence(dataset or "rooms", name, root if dataset else None, None)
@@ -93,7 +93,7 @@ def opened(room: str, root: Path | None, case: str, width: int, first: int) -> S
     moving = np.arange(first, len(source), every)
     index = np.concatenate([np.full(turn, first), moving])
     spot = TURN_STEP * np.minimum(np.arange(len(index)), turn)
-    sequence: Sequence = Start(source, index, spot + yaw * np.arange(len(index)))
+    sequence: FrameSequence = Start(source, index, spot + yaw * np.arange(len(index)))
     size = width if kind == "erp" else width * 9 // 16 // 16 * 16
     if kind == "erp" and fov is None and source.camera.width == width:
         return sequence
@@ -114,7 +114,7 @@ class Score:
     message: str
 
 
-def score(sequence: Sequence, estimate: DepthEstimate, frames: int, cpu_s: float) -> Score:
+def score(sequence: FrameSequence, estimate: DepthEstimate, frames: int, cpu_s: float) -> Score:
     """Against the depth and the poses of the sequence."""
     truth, poses = sequence.depth(estimate.frame_index), sequence.groundtruth
     assert poses is not None
@@ -134,7 +134,7 @@ def score(sequence: Sequence, estimate: DepthEstimate, frames: int, cpu_s: float
     return Score(frames, float(np.median(off)), float(np.mean(off > 0.1)), rms, estimate.ok, cpu_s, estimate.message)
 
 
-def measure(sequence: Sequence) -> Score:
+def measure(sequence: FrameSequence) -> Score:
     """Feed frames until there is an answer."""
     estimator = BootstrapDepth()
     estimator.start(sequence.camera)

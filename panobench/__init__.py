@@ -12,7 +12,7 @@ __version__ = "0.1.0"
 
 _EXPORTS = {
     "panobench.cameras.base": ("Camera",),
-    "panobench.datasets.base": ("Dataset", "Sequence"),
+    "panobench.datasets.base": ("Dataset", "FrameSequence", "Sequence"),
     "panobench.depth.base": ("DepthEstimator",),
     "panobench.errors": (
         "CalibrationError",

@@ -11,7 +11,7 @@ import pluggy
 if TYPE_CHECKING:
     import numpy as np
 
-    from panobench.datasets.base import Sequence as FrameSequence
+    from panobench.datasets.base import FrameSequence
     from panobench.methods.base import OnlineMethod
     from panobench.specs import (
         CameraSpec,

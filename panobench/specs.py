@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 from panobench.errors import UnavailableError
 
 #: Version of the plugin contract (hooks, specs, base classes); semantic: see docs/plugins.md.
-CONTRACT_VERSION = "1.0"
+CONTRACT_VERSION = "1.1"
 
 
 @dataclass(frozen=True)

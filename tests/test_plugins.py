@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from panobench.errors import UnavailableError, UnknownNameError
-from panobench.plugins import PluginWarning, load_registry
+from panobench.plugins import PluginWarning, load_registry, same_contract
 from panobench.specs import CameraSpec, DepthSpec, MethodSpec
 
 
@@ -104,6 +104,14 @@ def test_a_missing_package_is_unavailable_not_a_traceback() -> None:
     assert spec.unavailable() == "needs the Python package(s) no_such_package"
     with pytest.raises(UnavailableError, match="no_such_package"):
         spec.load()
+
+
+def test_a_plugin_of_contract_1_0_finds_sequences_by_their_old_name() -> None:
+    import panobench
+
+    assert panobench.Sequence is panobench.FrameSequence
+    assert same_contract("1.0")
+    assert not same_contract("1.2")
 
 
 def test_public_names_import(tmp_path: Path) -> None:

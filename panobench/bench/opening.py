@@ -12,7 +12,7 @@ from typing import Any
 from panobench.bench.config import method_config
 from panobench.bench.request import RunRequest
 from panobench.bench.views import ChosenFrames
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.depth.base import DepthEstimator
 from panobench.errors import UnavailableError, UnsupportedError, UsageError
 from panobench.methods.base import BatchMethod, OnlineMethod
@@ -106,14 +106,14 @@ def open_input(request: RunRequest, spec: MethodSpec | None = None) -> ChosenFra
     return ChosenFrames(sequence, request.every, request.max_frames)
 
 
-def open_source(request: RunRequest, width: int | None) -> Sequence:
+def open_source(request: RunRequest, width: int | None) -> FrameSequence:
     """The dataset's own sequence at ``width``."""
     from panobench.datasets.open import open_sequence
 
     return open_sequence(request.dataset, request.sequence, request.root, width)
 
 
-def _through_camera(request: RunRequest) -> Sequence:
+def _through_camera(request: RunRequest) -> FrameSequence:
     """The sequence itself if its camera is the one asked for, else converted from its full resolution."""
     # A kind of camera alone may be the dataset's own; anything more has to be made.
     kind = registry().get(DatasetSpec, request.dataset).camera

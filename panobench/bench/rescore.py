@@ -26,7 +26,7 @@ from panobench.bench.runfolder import (
     read_run_json,
     write_json,
 )
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.trajectory_io import read_rows, read_tum
 from panobench.errors import InputError, UsageError
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED, PROTOCOL_VERSION, MetricInput
@@ -66,7 +66,7 @@ class Protocol:
         return "+".join([PROTOCOL_VERSION, *changed])
 
 
-class StoredSequence(Sequence):
+class StoredSequence(FrameSequence):
     """Times and ground truth of a stored run; its images are not kept."""
 
     def __init__(self, times: NDArray[np.float64], truth: Trajectory | None) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from panobench.bench.observer import Observer
 from panobench.bench.stopping import StopRequest
 from panobench.bench.views import BlindSequence, FrameReader
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.errors import MethodError, PanobenchError
 from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
 from panobench.types import Estimate, Frame, RunStatus, Trajectory
@@ -48,7 +48,7 @@ class Tracked:
 
 def track_online(
     method: OnlineMethod,
-    sequence: Sequence,
+    sequence: FrameSequence,
     holdout: frozenset[int],
     context: MethodContext,
     first_depth: Callable[[int], NDArray[np.float32] | None],
@@ -97,7 +97,7 @@ def track_online(
 
 
 def track_batch(
-    method: BatchMethod, sequence: Sequence, holdout: frozenset[int], context: MethodContext, observer: Observer
+    method: BatchMethod, sequence: FrameSequence, holdout: frozenset[int], context: MethodContext, observer: Observer
 ) -> Tracked:
     """Run a batch method. Errors as in ``track_online``."""
     result = Tracked()
@@ -156,7 +156,7 @@ def check_pose(pose: object, what: str) -> Pose:
     return T
 
 
-def check_estimate(estimate: object, sequence: Sequence, given: int) -> Estimate:
+def check_estimate(estimate: object, sequence: FrameSequence, given: int) -> Estimate:
     """The estimate with its times snapped to the sequence's. Raises MethodError where it breaks the contract."""
     if not isinstance(estimate, Estimate):
         raise MethodError(f"the method returned {type(estimate).__name__}, expected an Estimate")
@@ -182,17 +182,17 @@ def check_estimate(estimate: object, sequence: Sequence, given: int) -> Estimate
     return estimate
 
 
-def frame_indices(estimate: Estimate, sequence: Sequence) -> list[int]:
+def frame_indices(estimate: Estimate, sequence: FrameSequence) -> list[int]:
     """Indices of the frames that have a pose in the estimate."""
     return [int(i) for i in np.searchsorted(sequence.times, estimate.trajectory.times)]
 
 
-def _slack(sequence: Sequence) -> float:
+def _slack(sequence: FrameSequence) -> float:
     """Times closer than this are the same frame: a microsecond, less where frames are closer."""
     step = float(np.diff(sequence.times).min()) if len(sequence) > 1 else 1.0
     return min(1e-6, step / 4)
 
 
-def _trajectory(live: dict[int, Pose], sequence: Sequence) -> Trajectory:
+def _trajectory(live: dict[int, Pose], sequence: FrameSequence) -> Trajectory:
     index = sorted(live)
     return Trajectory(np.asarray(sequence.times)[index], np.array([live[i] for i in index]).reshape(-1, 4, 4))

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.errors import DatasetError
 from panobench.types import Frame, Imu, NovelView, Trajectory
 
 
-class ChosenFrames(Sequence):
+class ChosenFrames(FrameSequence):
     """Each ``every``-th frame of a sequence, at most ``max_frames``, renumbered from 0."""
 
-    def __init__(self, inner: Sequence, every: int = 1, max_frames: int | None = None) -> None:
+    def __init__(self, inner: FrameSequence, every: int = 1, max_frames: int | None = None) -> None:
         if len(inner) == 0:
             raise DatasetError(f"sequence '{inner.name}' has no frames")
         self._inner = inner
@@ -69,7 +69,7 @@ class FrameReader:
     What a mask hides (a lens's rim, the operator) thereby cannot change a result, whatever a method does at its edge.
     """
 
-    def __init__(self, sequence: Sequence) -> None:
+    def __init__(self, sequence: FrameSequence) -> None:
         self._sequence = sequence
         mask = sequence.camera.mask
         self._hidden = None if mask is None else ~mask
@@ -90,10 +90,10 @@ class FrameReader:
         return Frame(index, float(sequence.times[index]), image, mappable, depth, sequence.frame_name(index))
 
 
-class BlindSequence(Sequence):
+class BlindSequence(FrameSequence):
     """What a batch method gets. The sequence itself is only reachable by the function that reads frames."""
 
-    def __init__(self, sequence: Sequence, holdout: frozenset[int] = frozenset(), imu: Imu | None = None) -> None:
+    def __init__(self, sequence: FrameSequence, holdout: frozenset[int] = frozenset(), imu: Imu | None = None) -> None:
         self.name, self.dataset, self.camera = sequence.name, sequence.dataset, sequence.camera
         self.times = sequence.times.copy()
         self._imu = imu

@@ -11,7 +11,7 @@ from panobench.errors import UsageError
 
 if TYPE_CHECKING:
     from panobench.cameras.base import Camera
-    from panobench.datasets.base import Sequence
+    from panobench.datasets.base import FrameSequence
     from panobench.datasets.export import Exporter, Target
 
 app = typer.Typer()
@@ -82,7 +82,7 @@ def _view_names(views: str) -> list[str]:
 
 
 def _targets(
-    opened: Sequence, to: str, views: str | None, folder: Path, width: int | None, fov: str | None
+    opened: FrameSequence, to: str, views: str | None, folder: Path, width: int | None, fov: str | None
 ) -> list[Target]:
     """One target per view; the sequence's folder is named after the sequence and the view."""
     from panobench.cameras.factory import parse_camera_option
@@ -98,7 +98,7 @@ def _targets(
     ]
 
 
-def _convert_one(opened: Sequence, targets: list[Target], options: object, dry_run: bool, quiet: bool) -> None:
+def _convert_one(opened: FrameSequence, targets: list[Target], options: object, dry_run: bool, quiet: bool) -> None:
     from rich.console import Console
 
     from panobench.datasets.export import Exporter, ExportOptions, free_bytes

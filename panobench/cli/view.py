@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from panobench.cameras.factory import CameraChoice
-    from panobench.datasets.base import Sequence
+    from panobench.datasets.base import FrameSequence
     from panobench.datasets.contact_sheet import Cell
 
 app = typer.Typer()
@@ -81,7 +81,7 @@ def _spread(count: int, wanted: int) -> list[int]:
     return sorted({round(k * (count - 1) / max(wanted - 1, 1)) for k in range(wanted)})
 
 
-def _choices(as_: str | None, opened: Sequence, width: int | None, fov: str | None) -> list[CameraChoice]:
+def _choices(as_: str | None, opened: FrameSequence, width: int | None, fov: str | None) -> list[CameraChoice]:
     """The cameras to show: those named, else six pinhole views for a panorama and erp for the rest."""
     from panobench.cameras.factory import parse_camera_option
 
@@ -97,7 +97,7 @@ def _choices(as_: str | None, opened: Sequence, width: int | None, fov: str | No
     return [parse_camera_option(o, opened.camera, width, fov) for o in options]
 
 
-def _rows(opened: Sequence, chosen: list[int], choices: list[CameraChoice]) -> list[list[Cell]]:
+def _rows(opened: FrameSequence, chosen: list[int], choices: list[CameraChoice]) -> list[list[Cell]]:
     """One row per frame: the frame, then each camera's picture of it. Views that see nothing are left out."""
     from panobench.cameras.reproject import Reprojector
     from panobench.datasets.contact_sheet import Cell
@@ -127,7 +127,7 @@ def _rows(opened: Sequence, chosen: list[int], choices: list[CameraChoice]) -> l
     return rows
 
 
-def _panoramas(opened: Sequence, chosen: list[int]) -> list[tuple[str, np.ndarray]]:
+def _panoramas(opened: FrameSequence, chosen: list[int]) -> list[tuple[str, np.ndarray]]:
     """(label, ERP image) of the chosen frames, or nothing for a camera that sees too little of the sphere."""
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""The dataset contract: a ``Dataset`` lists sequences and opens them; a ``Sequence`` hands out frames."""
+"""The dataset contract: a ``Dataset`` lists sequences and opens them; a ``FrameSequence`` hands out frames."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from panobench.cameras.base import Camera
 from panobench.types import Frame, Imu, NovelView, Trajectory
 
 
-class Sequence(ABC):
+class FrameSequence(ABC):
     """Images of one camera in time order, with whatever truth the dataset has.
 
     Opening one checks all that can be checked without decoding images (files exist, times increase,
@@ -64,6 +64,10 @@ class Sequence(ABC):
             yield Frame(i, float(t), self.image(i), name=self.frame_name(i))
 
 
+#: What ``FrameSequence`` was called in contract 1.0; kept for plugins written for it.
+Sequence = FrameSequence
+
+
 class Dataset(ABC):
     """Opens sequences below ``root`` (None for generators)."""
 
@@ -77,7 +81,7 @@ class Dataset(ABC):
         """Names that ``open`` takes. Raises DatasetError when nothing usable is at root."""
 
     @abstractmethod
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         """Open one sequence (None: the only one or the first), frames resized to ``width`` by an area filter.
 
         Raises UnknownNameError for a name it does not have, DatasetError for data it cannot use.

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from panobench.cameras.base import Camera
 from panobench.cameras.reproject import Reprojector
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.errors import UnsupportedError
 from panobench.types import Imu, NovelView, Trajectory
 
 
-class ConvertedSequence(Sequence):
+class ConvertedSequence(FrameSequence):
     """Presents ``source`` through ``camera``, whose axes are the source's turned by ``R_target_source``.
 
     Images and depth are reprojected when asked for, the ground truth is that of the new camera, inertial samples stay
@@ -24,7 +24,7 @@ class ConvertedSequence(Sequence):
     Raises UnsupportedError when the two cameras see nothing in common.
     """
 
-    def __init__(self, source: Sequence, camera: Camera, R_target_source: ArrayLike | None = None) -> None:
+    def __init__(self, source: FrameSequence, camera: Camera, R_target_source: ArrayLike | None = None) -> None:
         self.source = source
         self.reprojector = Reprojector(source.camera, camera, R_target_source)
         self.camera = with_valid(camera, self.reprojector.valid)

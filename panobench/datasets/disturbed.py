@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.disturb import BARE, Disturbances, Disturber
 from panobench.errors import UsageError
 from panobench.types import Imu, NovelView, Trajectory
@@ -17,10 +17,10 @@ from panobench.types import Imu, NovelView, Trajectory
 DISTURBANCE_VERSION = 1
 
 
-class DisturbedSequence(Sequence):
+class DisturbedSequence(FrameSequence):
     """``source`` with its images disturbed; truth is that of the turned camera, novel views stay as they are."""
 
-    def __init__(self, source: Sequence, chosen: Disturbances, name: str) -> None:
+    def __init__(self, source: FrameSequence, chosen: Disturbances, name: str) -> None:
         self.source = source
         self.name, self.dataset, self.camera, self.times = name, "disturbed", source.camera, source.times
         self._disturb = Disturber(chosen, source.camera, len(source))

@@ -28,7 +28,7 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.factory import camera_from_dict, parse_camera_option
 from panobench.cameras.reproject import Reprojector
 from panobench.cameras.views import look_rotation
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.video import VideoReader, video_files
@@ -131,7 +131,7 @@ class Stitcher:
         return np.asarray(np.rint(out), dtype=np.uint8)
 
 
-class DualFisheyeSequence(Sequence):
+class DualFisheyeSequence(FrameSequence):
     """A video of two circles as panoramas of ``width`` (None: the lenses' resolution)."""
 
     def __init__(self, path: Path, rig: DualFisheye, calibration: Path, name: str, width: int | None) -> None:
@@ -178,7 +178,7 @@ class Insta360DualFisheye(Dataset):
             raise DatasetError(f"dataset '{self.name}' needs --root FILE or FOLDER")
         return list(video_files(self.root))
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         name = choose_sequence(self.name, sequence, self.sequences())
         assert self.root is not None
         path = video_files(self.root)[name]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.cameras.factory import CameraChoice
 from panobench.cameras.reproject import Reprojector
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.checksums import sha256_bytes
 from panobench.datasets.converted import seen_from, with_valid
 from panobench.datasets.images import encode_depth, encode_image
@@ -61,7 +61,7 @@ class Exporter:
     something made with other options.
     """
 
-    def __init__(self, sequence: Sequence, targets: Iterable[Target], options: ExportOptions) -> None:
+    def __init__(self, sequence: FrameSequence, targets: Iterable[Target], options: ExportOptions) -> None:
         self.sequence, self.options = sequence, options
         self.targets = list(targets)
         self.indices = list(range(0, len(sequence), options.every))

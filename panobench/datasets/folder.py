@@ -16,7 +16,7 @@ import numpy as np
 
 from panobench.cameras.base import Camera
 from panobench.cameras.calibration import Calibration, inspect_calibration
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import read_image, read_mask
 from panobench.datasets.locate import choose_sequence
@@ -87,7 +87,7 @@ class Folder(Dataset):
             raise DatasetError("no panobench sequence here: frames.csv, camera.yaml and images/ are expected", root)
         return names
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         root = self._at()
         name = choose_sequence(self.name, sequence, self.sequences())
         return ImageSequence(_read(root if is_sequence(root) else root / name, name), width)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.images import read_depth, read_image, read_size, resize_depth, resize_image
 from panobench.errors import CalibrationError, DatasetError, UsageError
@@ -76,7 +76,7 @@ def scaled_camera(native: Camera, width: int | None) -> Camera:
         raise UsageError(f"--width {width}: {error}") from None
 
 
-class ImageSequence(Sequence):
+class ImageSequence(FrameSequence):
     """Frames decoded from files on demand and resized to the camera's width. Reading is thread-safe."""
 
     def __init__(self, source: ImageSource, width: int | None = None) -> None:

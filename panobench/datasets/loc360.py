@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import list_images
 from panobench.datasets.json_poses import read_json, rigid_matrix
@@ -42,7 +42,7 @@ class Loc360(Dataset):
     def sequences(self) -> list[str]:
         return list(self._found())
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         found = self._found()
         name = choose_sequence(self.name, sequence, found)
         return ImageSequence(_read(found[name], name), width)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import IMAGE_SUFFIXES, list_images
 from panobench.datasets.json_poses import read_json, rigid, rigid_matrix
@@ -49,7 +49,7 @@ class OmniBlender(Dataset):
     def sequences(self) -> list[str]:
         return list(self._found())
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         found = self._found()
         name = choose_sequence(self.name, sequence, found)
         return ImageSequence(_read(found[name], name), width)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.locate import locate
 from panobench.errors import UnavailableError, UsageError
 from panobench.plugins import registry
@@ -31,7 +31,7 @@ def open_dataset(name: str, root: Path | str | None = None) -> Dataset:
 
 def open_sequence(
     dataset: str, sequence: str | None = None, root: Path | str | None = None, width: int | None = None
-) -> Sequence:
+) -> FrameSequence:
     """Open one sequence of a dataset, frames resized to ``width`` (None: as stored).
 
     ``sequence`` None: the only one or the first. Raises what ``open_dataset`` and ``Dataset.open`` raise.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets.bag import BagFile, decode_image_message, parse_image_header
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.folder import read_imu_csv
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, scaled_camera
@@ -46,7 +46,7 @@ def camera_truth(body: Trajectory, times: NDArray[np.float64], calibration: Palv
     return found if len(found) else None
 
 
-class PalvioBagSequence(Sequence):
+class PalvioBagSequence(FrameSequence):
     """One bag. Opening reads it once (stamps, IMU, motion capture); images are read on demand."""
 
     def __init__(self, path: Path, name: str, calibration: PalvioCalibration, width: int | None) -> None:
@@ -226,7 +226,7 @@ class Palvio(Dataset):
     def sequences(self) -> list[str]:
         return list(self._found())
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         found = self._found()
         name = choose_sequence(self.name, sequence, found)
         path = found[name]

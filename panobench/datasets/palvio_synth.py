@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from panobench.cameras.calibration import write_calibration
 from panobench.cameras.reproject import Reprojector
 from panobench.cameras.views import upright_rotation
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.palvio_calibration import OVERRIDE, PalvioCalibration, published_calibration
 from panobench.errors import UsageError
 from panobench.geometry import invert_pose, make_pose, quat_from_matrix
@@ -87,7 +87,7 @@ def scaled_calibration(width: int | None) -> PalvioCalibration:
 
 def write_palvio_bag(
     path: Path,
-    sequence: Sequence,
+    sequence: FrameSequence,
     options: BagOptions | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Path:
@@ -119,7 +119,7 @@ def write_palvio_bag(
 
 
 def _plan(
-    sequence: Sequence, options: BagOptions, calibration: PalvioCalibration
+    sequence: FrameSequence, options: BagOptions, calibration: PalvioCalibration
 ) -> tuple[BodyMotion, list[int], Array]:
     """Body motion over the frames chosen, their indices, and the world's up axis."""
     truth = sequence.groundtruth
@@ -138,7 +138,7 @@ def _plan(
 
 def _write(
     path: Path,
-    sequence: Sequence,
+    sequence: FrameSequence,
     frames: list[int],
     motion: BodyMotion,
     up: Array,

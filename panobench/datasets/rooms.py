@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.errors import DatasetError, UnknownNameError
 from panobench.rooms import cache
 from panobench.rooms.kinds import KINDS
@@ -27,7 +27,7 @@ CHUNK = 20  # frames rendered together on first use
 Progress = Callable[[int, int], None]
 
 
-class RoomSequence(Sequence):
+class RoomSequence(FrameSequence):
     """One room seen by one camera. Images come from the cache, which is filled in chunks as frames are asked for."""
 
     dataset = "rooms"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.images import IMAGE_SUFFIXES, read_image, read_size
 from panobench.datasets.open import open_sequence
 from panobench.datasets.video import VIDEO_SUFFIXES
@@ -19,7 +19,7 @@ _CALIBRATIONS = (".yaml", ".yml", ".txt")
 _SIMPLE = ("erp", "pal", "cubemap", "pinhole:DEGREES", "fisheye:DEGREES")
 
 
-class SingleImage(Sequence):
+class SingleImage(FrameSequence):
     """One image at time 0."""
 
     def __init__(self, path: Path, camera: Camera) -> None:
@@ -140,7 +140,7 @@ def guess_dataset(path: Path) -> str:
 
 def open_anything(
     path: Path, camera: str | None = None, dataset: str | None = None, sequence: str | None = None
-) -> Sequence:
+) -> FrameSequence:
     """An image (seen by ``camera``) or a sequence (whose dataset is guessed unless named)."""
     if not path.exists():
         raise DatasetError("no such file or folder", path)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import list_images, read_image
 from panobench.datasets.locate import choose_sequence
@@ -141,7 +141,7 @@ class SynPano(Dataset):
             raise DatasetError(f"dataset '{self.name}' needs --root PATH")
         return scene_names(self.root, self.name)
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         name = choose_sequence(self.name, sequence, self.sequences())
         assert self.root is not None
         folder = self.root if is_scene(self.root) else self.root / name

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.calibration import Calibration, inspect_calibration
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource
 from panobench.datasets.images import read_mask
 from panobench.datasets.locate import choose_sequence
@@ -47,7 +47,7 @@ class TumVi(Dataset):
     def sequences(self) -> list[str]:
         return list(self._found())
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         found = self._found()
         name = choose_sequence(self.name, sequence, found)
         return ImageSequence(_read(found[name], name), width)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.image_sequence import scaled_camera
 from panobench.datasets.images import check_limits, read_mask, resize_image
@@ -123,7 +123,7 @@ def _cv2() -> Any:
     return cv2
 
 
-class VideoSequence(Sequence):
+class VideoSequence(FrameSequence):
     """A video seen by ``native`` (its camera at the stored size), resized to ``width``."""
 
     def __init__(self, reader: VideoReader, native: Camera, name: str, width: int | None, dataset: str) -> None:
@@ -168,7 +168,7 @@ class Video(Dataset):
             raise DatasetError("dataset 'video' needs --root FILE (or --root FOLDER --sequence NAME)")
         return list(video_files(self.root))
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> Sequence:
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
         name = choose_sequence(self.name, sequence, self.sequences())
         assert self.root is not None
         path = video_files(self.root)[name]

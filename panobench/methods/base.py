@@ -15,7 +15,7 @@ from panobench.types import Estimate, Frame, Imu
 
 if TYPE_CHECKING:
     from panobench.cameras.base import Camera
-    from panobench.datasets.base import Sequence
+    from panobench.datasets.base import FrameSequence
     from panobench.depth.base import DepthEstimator
 
 
@@ -90,12 +90,12 @@ class BatchMethod(ABC):
     def __init__(self, config: Any = None) -> None:
         self.config = config
 
-    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+    def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
         """Called once before ``run``, and timed apart: for what is made once and kept for later runs."""
         return None
 
     @abstractmethod
-    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """Process the sequence; files go below ``context.work``."""
 
     def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.types import Imu
 
 IMAGE, IMU = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
@@ -15,7 +15,7 @@ IMAGE, IMU = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
 START_S = 1000
 
 
-def write_bag(path: Path, sequence: Sequence, imu: Imu, image_topic: str, imu_topic: str) -> float:
+def write_bag(path: Path, sequence: FrameSequence, imu: Imu, image_topic: str, imu_topic: str) -> float:
     """Write the bag and return the seconds to add to its times to get the sequence's.
 
     Images are mono8; samples are written in time order with them. Times are shifted so that the first is START_S.

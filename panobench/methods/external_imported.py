@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets import trajectory_io as io
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import InputError, UsageError
 from panobench.geometry import invert_pose
@@ -92,7 +92,7 @@ class ImportedTrajectory(BatchMethod):
     path: Path
     options: ImportOptions = field(default_factory=ImportOptions)
 
-    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """Raises InputError for a trajectory or renders that cannot be used."""
         trajectory = read_imported(self.path, self.options, sequence.times)
         index = np.searchsorted(sequence.times, trajectory.times).tolist()
@@ -138,7 +138,7 @@ class ImportedTrajectory(BatchMethod):
         return np.asarray(np.clip(self._cuts[key].image(source_image), 0, 1), dtype=np.float32)
 
 
-def find_renders(folder: Path, index: list[int], sequence: Sequence) -> list[Path]:
+def find_renders(folder: Path, index: list[int], sequence: FrameSequence) -> list[Path]:
     """The render of each frame in ``index``: named as the frame, by its number, or as many as there are in order.
 
     Raises InputError naming the first frame that has none.

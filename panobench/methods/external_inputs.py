@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.images import write_image
 from panobench.errors import UnsupportedError
 
@@ -31,7 +31,7 @@ class WrittenImages:
 
 
 def write_images(
-    sequence: Sequence,
+    sequence: FrameSequence,
     folder: Path,
     *,
     grey: bool = False,

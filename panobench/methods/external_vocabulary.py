@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.errors import InputError, UnavailableError
 
 #: Names the vocabulary for all adapters that need one.
@@ -48,7 +48,7 @@ def _silent(_: str) -> None:
     return None
 
 
-def find_vocabulary(option: str, sequence: Sequence, log: Callable[[str], None] = _silent) -> Path:
+def find_vocabulary(option: str, sequence: FrameSequence, log: Callable[[str], None] = _silent) -> Path:
     """The named vocabulary, or one trained on built-in rooms that ``sequence`` is not, kept in the cache.
 
     Raises InputError for a named file that is none, UnavailableError when none is named and the rooms are not there.
@@ -77,7 +77,7 @@ def cache_folder() -> Path:
     return cache_root() / "orb-vocabulary"
 
 
-def training_rooms(sequence: Sequence) -> list[str]:
+def training_rooms(sequence: FrameSequence) -> list[str]:
     """The built-in rooms but the one that ``sequence`` shows. Raises UnavailableError if none is left."""
     names = _rooms().sequences()
     own = sequence.name if sequence.dataset == "rooms" else ""

@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.errors import InputError, MethodError, MethodTimeoutError, UnavailableError, UsageError
 from panobench.methods import external_confine
 from panobench.methods.base import BatchMethod, MethodContext
@@ -104,7 +104,7 @@ class ExternalMethod(BatchMethod):
         self.config: ExternalConfig = config or self.config_class()
 
     @abstractmethod
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         """Write the program's input below ``context.work`` (resolved) and say how to run it."""
 
     def command(self) -> str:
@@ -158,7 +158,7 @@ class ExternalMethod(BatchMethod):
         detail = "writes are confined to the work folder" if confined else "no Landlock: strays are found afterwards"
         return [*found, Finding(True, "confinement", detail)]
 
-    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """Prepare, run, read. Raises UnavailableError, UnsupportedError or an ExternalProgramError."""
         reason = self.missing(self.config)
         if reason is not None:

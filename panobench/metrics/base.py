@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.types import Estimate
 
 #: Version of the evaluation protocol (docs/protocol.md); in every run.json.
@@ -36,7 +36,7 @@ class MetricInput:
     alignment: of the trajectory before ATE; "auto" is Sim(3), or SE(3) for an estimate that says it is metric.
     """
 
-    sequence: Sequence
+    sequence: FrameSequence
     estimate: Estimate
     frames: list[int]
     holdout: list[int] = field(default_factory=list)

@@ -14,7 +14,7 @@ import numpy as np
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
 from panobench.bench.opening import open_input
 from panobench.bench.request import RunRequest
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.errors import DatasetError, UsageError
 from panobench.studies import basin_figures
 from panobench.studies.base import StudyRequest, StudyResult
@@ -143,7 +143,7 @@ def map_frames(options: BasinOptions, length: int) -> list[int]:
     return chosen
 
 
-def _fit(options: BasinOptions, panorama: Sequence, study: StudyRequest) -> tuple[Any, float]:
+def _fit(options: BasinOptions, panorama: FrameSequence, study: StudyRequest) -> tuple[Any, float]:
     from panobench.studies.landscape import fit_map
 
     truth = panorama.groundtruth
@@ -170,7 +170,7 @@ def _config(options: BasinOptions, **changes: Any) -> Any:
     return override(PanogsConfig(), {**own, **changes}, "study option")
 
 
-def _measure(options: BasinOptions, sequence: Sequence, fitted: tuple[Any, float]) -> dict[str, Any]:
+def _measure(options: BasinOptions, sequence: FrameSequence, fitted: tuple[Any, float]) -> dict[str, Any]:
     from panobench.studies.landscape import Scene, loss_surface, pose_hessian, track_from
 
     gaussians, depth = fitted

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from panobench.datasets.base import Dataset, Sequence
+from panobench.datasets.base import Dataset, FrameSequence
 from panobench.errors import DatasetError, UnknownNameError
 from panobench.specs import DatasetSpec
 from panobench.testing.conformance import Checks, Options, Skipped, require, same_clean_error
@@ -28,7 +28,7 @@ class _Subject:
         return dataset
 
     @cached_property
-    def sequence(self) -> Sequence:
+    def sequence(self) -> FrameSequence:
         return self.dataset.open()
 
 
@@ -52,7 +52,7 @@ def _implementation(cls: Any, spec: DatasetSpec) -> None:
     require(not spec.needs_root or spec.layout, "layout is empty: say which files are expected where")
 
 
-def _sequence(dataset: Dataset, sequence: Sequence) -> str:
+def _sequence(dataset: Dataset, sequence: FrameSequence) -> str:
     names = dataset.sequences()
     require(names and all(isinstance(n, str) for n in names), "sequences() returns no names")
     times = np.asarray(sequence.times)
@@ -62,7 +62,7 @@ def _sequence(dataset: Dataset, sequence: Sequence) -> str:
     return f"{len(names)} sequence(s), the first has {len(times)} frames"
 
 
-def _images(sequence: Sequence) -> None:
+def _images(sequence: FrameSequence) -> None:
     shape = (sequence.camera.height, sequence.camera.width, 3)
     for index in sorted({0, len(sequence) // 2, len(sequence) - 1}):
         image = sequence.image(index)
@@ -71,7 +71,7 @@ def _images(sequence: Sequence) -> None:
         require(np.array_equal(image, sequence.image(index)), f"image {index} differs when read again")
 
 
-def _truth(sequence: Sequence) -> str:
+def _truth(sequence: FrameSequence) -> str:
     truth, depth = sequence.groundtruth, sequence.depth(0)
     if truth is not None:
         require(np.isin(truth.times, sequence.times).all(), "ground truth has times that are no frame's time")
@@ -89,7 +89,7 @@ def _truth(sequence: Sequence) -> str:
     return f"ground truth: {'yes' if truth is not None else 'no'}, depth: {'yes' if depth is not None else 'no'}"
 
 
-def _resized(dataset: Dataset, sequence: Sequence) -> None:
+def _resized(dataset: Dataset, sequence: FrameSequence) -> None:
     width = max(8, sequence.camera.width // 2)
     small = dataset.open(dataset.sequences()[0], width=width)
     require(small.camera.width == width, f"open(width={width}) has a camera {small.camera.width} px wide")

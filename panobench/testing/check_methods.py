@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from panobench.cameras.base import Camera
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.errors import PanobenchError
 from panobench.methods.base import BatchMethod, OnlineMethod
 from panobench.plugins import registry, same_contract
@@ -55,7 +55,7 @@ class _Subject:
             raise Skipped(self.unavailable)
         return make_method(self.spec, preset=self.options.preset)
 
-    def run(self, sequence: Sequence, work: Path | None = None, idle_s: float = 0.0) -> MethodRun:
+    def run(self, sequence: FrameSequence, work: Path | None = None, idle_s: float = 0.0) -> MethodRun:
         return run_method(
             self.make(),
             sequence,
@@ -126,7 +126,7 @@ def _implementation(spec: MethodSpec, unavailable: str | None) -> str | None:
     return None
 
 
-def check_estimate(estimate: Estimate, sequence: Sequence) -> None:
+def check_estimate(estimate: Estimate, sequence: FrameSequence) -> None:
     """Fail unless an estimate keeps the contract for this sequence."""
     require(isinstance(estimate, Estimate), f"the answer is a {type(estimate).__name__}, not an Estimate")
     t, T = np.asarray(estimate.trajectory.times), np.asarray(estimate.trajectory.T_wc)
@@ -184,7 +184,7 @@ def _stays(s: _Subject) -> str | None:
     return "as far as Python's audit events show"
 
 
-def _ends_cleanly(s: _Subject, sequence: Sequence, what: str) -> str:
+def _ends_cleanly(s: _Subject, sequence: FrameSequence, what: str) -> str:
     s.make()
     try:
         run = s.run(sequence)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.geometry import se3_exp
 from panobench.metrics.base import MetricInput
 from panobench.specs import MetricSpec
@@ -19,7 +19,7 @@ from panobench.types import Estimate, Trajectory
 
 
 def made_up_run(
-    sequence: Sequence, noise_m: float = 0.0, n: int | None = None, folder: Path | None = None
+    sequence: FrameSequence, noise_m: float = 0.0, n: int | None = None, folder: Path | None = None
 ) -> MetricInput:
     """A finished run whose poses are the truth plus noise; the first ``n`` frames are tracked (default all)."""
     count = len(sequence) if n is None else n

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.bench.blas import one_blas_thread
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.geometry import umeyama
 from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
 from panobench.specs import load_object
@@ -50,7 +50,7 @@ def make_method(spec: MethodSpec, preset: str | None = None, **options: Any) -> 
 @one_blas_thread()
 def run_method(
     method: OnlineMethod | BatchMethod,
-    sequence: Sequence,
+    sequence: FrameSequence,
     *,
     seed: int = 0,
     work: Path | None = None,
@@ -104,7 +104,7 @@ def _nothing() -> Any:
     return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
 
 
-def ate_rmse(run: MethodRun, sequence: Sequence) -> float:
+def ate_rmse(run: MethodRun, sequence: FrameSequence) -> float:
     """Position error in metres, RMSE after alignment (Sim(3), or SE(3) for a metric estimate) over tracked frames."""
     truth = sequence.groundtruth
     if truth is None:
@@ -115,7 +115,7 @@ def ate_rmse(run: MethodRun, sequence: Sequence) -> float:
     return float(np.sqrt(((moved - target) ** 2).sum(axis=1).mean()))
 
 
-def rotation_error_deg(run: MethodRun, sequence: Sequence) -> float:
+def rotation_error_deg(run: MethodRun, sequence: FrameSequence) -> float:
     """Largest angle between estimated and true rotation, both relative to the first tracked frame, degrees."""
     truth = sequence.groundtruth
     if truth is None:

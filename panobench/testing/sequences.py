@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.geometry import make_pose, so3_exp, so3_log
 from panobench.types import Imu, Trajectory
 
@@ -40,7 +40,7 @@ def rotating_pose(t: float) -> NDArray[np.float64]:
     return make_pose(so3_exp([0.08 * np.sin(1.3 * t), 0.6 * t, 0.05 * np.sin(0.9 * t)]), np.zeros(3))
 
 
-class TinySequence(Sequence):
+class TinySequence(FrameSequence):
     """A box room with a smooth procedural texture, ray-cast in numpy; exact poses, depth and IMU.
 
     pose: time in seconds -> ``T_wc``; ``smooth_pose`` or ``rotating_pose`` or your own (stay within the room,
@@ -120,7 +120,7 @@ class TinySequence(Sequence):
         return {"generator": "panobench.testing", "frames": len(self)}
 
 
-class GivenImages(Sequence):
+class GivenImages(FrameSequence):
     """Chosen images at 10 frames/s, without any truth: for black, grey, repeated or odd input."""
 
     dataset = "testing"
@@ -133,13 +133,13 @@ class GivenImages(Sequence):
         return self._images[index].copy()
 
 
-class BlindSequence(Sequence):
+class BlindSequence(FrameSequence):
     """What a batch method may see of a sequence: no ground truth, depth or novel views; remembers who asked.
 
     ``asked`` lists the names of the truths that were asked for.
     """
 
-    def __init__(self, inner: Sequence, *, imu: bool = False) -> None:
+    def __init__(self, inner: FrameSequence, *, imu: bool = False) -> None:
         self._inner, self._imu = inner, imu
         self.camera, self.times = inner.camera, inner.times
         self.name, self.dataset = inner.name, inner.dataset

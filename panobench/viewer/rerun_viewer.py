@@ -11,7 +11,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.errors import OutputError
 from panobench.geometry import umeyama
 from panobench.hookspecs import hookimpl
@@ -50,7 +50,7 @@ class RerunViewer:
         self.stream.disconnect()
 
     @hookimpl
-    def run_started(self, spec: dict[str, Any], sequence: Sequence) -> None:
+    def run_started(self, spec: dict[str, Any], sequence: FrameSequence) -> None:
         self.camera, self.truth = _small(sequence.camera), sequence.groundtruth
         self.positions: list[Array] = []
         self.times: list[float] = []

@@ -15,14 +15,14 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.views import view_rotation
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.converted import ConvertedSequence
 from panobench.errors import UnsupportedError
 from panobench.geometry import make_pose, so3_exp
 from panobench.types import Imu, NovelView, Trajectory
 
 
-class Toy(Sequence):
+class Toy(FrameSequence):
     """Three frames of a fixed picture, 3 m away all around."""
 
     name, dataset = "toy", "test"

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.reproject import Reprojector
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.open import open_sequence
 from panobench.datasets.palvio import Palvio
@@ -39,7 +39,7 @@ def walk(n: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Sequence:
+def source(tmp_path_factory: pytest.TempPathFactory) -> FrameSequence:
     folder = tmp_path_factory.mktemp("scene") / "room"
     lines = []
     for i, T in enumerate(walk(FRAMES)):
@@ -52,7 +52,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Sequence:
 
 
 @pytest.fixture(scope="module")
-def bag(source: Sequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(source: FrameSequence, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_palvio_bag(tmp_path_factory.mktemp("palvio") / "ID01.bag", source, BagOptions(width=160, seed=3))
 
 
@@ -71,7 +71,7 @@ def test_the_bag_has_the_published_topics_and_types(bag: Path) -> None:
     }
 
 
-def test_reads_back_images_and_the_camera_s_poses(bag: Path, source: Sequence) -> None:
+def test_reads_back_images_and_the_camera_s_poses(bag: Path, source: FrameSequence) -> None:
     sequence = Palvio(bag.parent).open("ID01")
     assert len(sequence) == FRAMES
     assert (sequence.camera.width, sequence.camera.height) == (160, 120)
@@ -129,7 +129,7 @@ def test_a_converted_sequence_says_where_its_own_camera_sits(bag: Path) -> None:
     np.testing.assert_allclose(body_poses(converted), body_poses(source), atol=1e-9)  # both cameras give the same
 
 
-def body_poses(sequence: Sequence) -> np.ndarray:
+def body_poses(sequence: FrameSequence) -> np.ndarray:
     assert sequence.groundtruth is not None
     assert sequence.imu is not None
     assert sequence.imu.T_body_cam is not None
@@ -310,7 +310,7 @@ def test_an_unindexed_bag_says_so(bag: Path, tmp_path: Path) -> None:
     fails(tmp_path / "x.bag", bag, "rosbag reindex")
 
 
-def test_the_generator_refuses_what_it_cannot_do(source: Sequence, bag: Path, tmp_path: Path) -> None:
+def test_the_generator_refuses_what_it_cannot_do(source: FrameSequence, bag: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="exists already"):
         write_palvio_bag(bag, source)
     with pytest.raises(UsageError, match=r"must end in \.bag"):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.disturb import roll_columns
 from panobench.datasets.disturbed import DisturbedDataset
@@ -28,7 +28,7 @@ def turned(image: NDArray[np.uint8], degrees: float) -> NDArray[np.uint8]:
     return np.clip(np.round(roll_columns(image.astype(float), columns)), 0, 255).astype(np.uint8)
 
 
-def answer(sequence: Sequence, images: list[NDArray[np.uint8]]) -> DepthEstimate:
+def answer(sequence: FrameSequence, images: list[NDArray[np.uint8]]) -> DepthEstimate:
     estimator = BootstrapDepth()
     estimator.start(sequence.camera)
     for k, image in enumerate(images):
@@ -48,7 +48,7 @@ def median_error(depth: NDArray[np.float32], truth: NDArray[np.float32] | None) 
     return float(np.nanmedian(np.abs(ratio - 1)))
 
 
-def tiny() -> Sequence:
+def tiny() -> FrameSequence:
     return RoomsDataset().open("tiny", width=256)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.rooms import RoomsDataset
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.geometry import invert_pose
@@ -30,7 +30,7 @@ WIDTH, FRAMES = 256, 13
 
 
 @lru_cache(maxsize=1)
-def room() -> Sequence:
+def room() -> FrameSequence:
     return RoomsDataset().open("tiny", width=WIDTH)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import psutil
 import pytest
 
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.errors import MethodError, MethodTimeoutError, UnavailableError, UsageError
 from panobench.methods import external_confine
 from panobench.methods.base import MethodContext
@@ -32,7 +32,7 @@ class StandIn(ExternalMethod):
 
     title, program, variable = "StandIn", "no-such-stand-in", "PANOBENCH_STANDIN"
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         return Job([str(context.work)], context.work / "out.txt", statuses={3: RunStatus.LOST})
 
 

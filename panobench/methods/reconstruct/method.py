@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.trajectory_io import read_tum
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import InputError, UnsupportedError
@@ -44,7 +44,7 @@ class ReconstructMethod(BatchMethod):
         super().__init__(config or ReconstructConfig())
         self.trainer: GaussianTrainer | None = None
 
-    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """Raises UnsupportedError without poses, InputError when the trajectory file fits no frame."""
         poses = self._poses(sequence, context)
         camera = sequence.camera
@@ -72,7 +72,7 @@ class ReconstructMethod(BatchMethod):
 
     # -- input -------------------------------------------------------------------------------------------------
 
-    def _poses(self, sequence: Sequence, context: MethodContext) -> dict[int, Array]:
+    def _poses(self, sequence: FrameSequence, context: MethodContext) -> dict[int, Array]:
         """Camera-to-world poses by frame index."""
         if self.config.trajectory:
             path = Path(self.config.trajectory)
@@ -89,7 +89,7 @@ class ReconstructMethod(BatchMethod):
             raise UnsupportedError("reconstruct needs poses: data with ground truth, or --set trajectory=FILE")
         return {i: T for i, T in context.poses.items() if 0 <= i < len(sequence)}
 
-    def _load(self, sequence: Sequence, poses: dict[int, Array], camera: Camera) -> list[PosedImage]:
+    def _load(self, sequence: FrameSequence, poses: dict[int, Array], camera: Camera) -> list[PosedImage]:
         weights = pixel_weights(camera)
         wanted = sorted(poses)
         if len(wanted) > self.config.views:

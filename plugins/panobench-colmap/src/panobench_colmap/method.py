@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from panobench import Camera, Estimate, MethodContext, UnsupportedError
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.methods.external_findings import Finding
 from panobench.methods.external_inputs import write_images, write_mask
 from panobench.methods.external_launch import Place
@@ -70,7 +70,7 @@ class Colmap(ExternalMethod):
         problem = _version_problem(cls().place())
         return [*super().diagnose(), Finding(problem is None, "pycolmap", problem or "4 or newer", _FIX)]
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work = context.work
         if self.config.matcher not in ("sequential", "exhaustive"):
             raise UnsupportedError(f"matcher '{self.config.matcher}': COLMAP is run with sequential or exhaustive")
@@ -94,7 +94,7 @@ class Colmap(ExternalMethod):
         script.write_text((Path(__file__).parent / "reconstruct.py").read_text())
         return Job([str(script), str(work)], work / "trajectory.tum", silent_when_lost=True)
 
-    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """As the base class; the reconstruction's figures join ``extra``."""
         estimate = super().run(sequence, context)
         summary = context.work / "summary.json"

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from panobench import Camera, MethodContext, UnsupportedError
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.methods.external_bag import write_bag
 from panobench.methods.external_inputs import opencv_yaml
 from panobench.methods.external_trajectory import TrajectoryFormat
@@ -132,7 +132,7 @@ class LfVislam(ExternalMethod):
     metric: ClassVar[bool] = True
     config: LfVislamConfig
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work = context.work
         if context.imu is None:
             raise UnsupportedError("LF-VISLAM needs inertial samples; this sequence has none")

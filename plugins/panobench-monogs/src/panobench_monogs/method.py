@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from panobench import MethodContext
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.methods.external_findings import Finding
 from panobench.methods.external_inputs import opencv_pinhole, write_images
 from panobench.methods.external_trajectory import TrajectoryFormat
@@ -63,7 +63,7 @@ class MonoGs(ExternalMethod):
         found = Finding(there, "MonoGS's folder", home or "not named", f"export {HOME}=/path/to/MonoGS")
         return [found, *super().diagnose()]
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         import cv2
 
         work, camera = context.work, sequence.camera
@@ -90,7 +90,7 @@ class MonoGs(ExternalMethod):
             keyframes=work / "keyframes.tum",
         )
 
-    def _settings(self, sequence: Sequence, p: Any, data: Path, work: Path) -> dict[str, Any]:
+    def _settings(self, sequence: FrameSequence, p: Any, data: Path, work: Path) -> dict[str, Any]:
         k1, k2, p1, p2, k3 = (float(x) for x in p.distortion)
         calibration = {key: float(getattr(p, key)) for key in ("fx", "fy", "cx", "cy")}
         calibration |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3}

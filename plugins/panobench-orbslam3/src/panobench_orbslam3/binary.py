@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from panobench import MethodContext
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.methods.external_inputs import frame_rate, nanoseconds, opencv_yaml, write_images
 from panobench.methods.external_trajectory import TrajectoryFormat
 from panobench.methods.external_vocabulary import find_vocabulary
@@ -22,11 +22,11 @@ class OrbSlam3Binary(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = OrbSlam3Config
     config: OrbSlam3Config
 
-    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+    def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
         """A vocabulary that must be trained first is trained once, outside the run's own time."""
         find_vocabulary(self.config.vocabulary, sequence, context.log)
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work = context.work
         vocabulary = find_vocabulary(self.config.vocabulary, sequence)
         values = settings(sequence.camera, frame_rate(sequence.times), self.config)

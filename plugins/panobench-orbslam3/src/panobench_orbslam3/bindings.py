@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from panobench import Estimate, MethodContext
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.methods.external_findings import Finding, missing_libraries
 from panobench.methods.external_inputs import frame_rate, nanoseconds, opencv_yaml, write_images
 from panobench.methods.external_launch import Place
@@ -64,11 +64,11 @@ class OrbSlam3(ExternalMethod):
         detail = str(named) if named else f"none named in {VARIABLE}: one will be trained on built-in rooms, once"
         return [*found, Finding(True, "vocabulary", detail)]
 
-    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+    def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
         """A vocabulary that must be trained first is trained once, outside the run's own time."""
         find_vocabulary(self.config.vocabulary, sequence, context.log)
 
-    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """As the base class; the seconds of each call of its tracker join the frames."""
         estimate = super().run(sequence, context)
         times = context.work / "track_times.txt"
@@ -77,7 +77,7 @@ class OrbSlam3(ExternalMethod):
             estimate.frames = {i: {"program_tracking_s": s} for i, s in enumerate(seconds)}
         return estimate
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work = context.work
         vocabulary = find_vocabulary(self.config.vocabulary, sequence)
         values = settings(sequence.camera, frame_rate(sequence.times), self.config)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from panobench import Camera, MethodContext, UnsupportedError
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.methods.external_inputs import (
     frame_rate,
     nanoseconds,
@@ -84,11 +84,11 @@ class P2uSlam(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = P2uSlamConfig
     config: P2uSlamConfig
 
-    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+    def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
         """A vocabulary that must be trained first is trained once, outside the run's own time."""
         find_vocabulary(self.config.vocabulary, sequence, context.log)
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work = context.work
         values = settings(sequence.camera, frame_rate(sequence.times), self.config.features)
         if write_mask(sequence.camera, work / "mask.png"):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from panobench import Estimate, InputError, MethodContext
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.methods.external_inputs import frame_rate, opencv_pinhole, opencv_yaml, write_images
 from panobench.methods.external_trajectory import TrajectoryFormat
 from panobench.methods.external_vocabulary import find_vocabulary
@@ -111,11 +111,11 @@ class PhotoSlam(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = PhotoSlamConfig
     config: PhotoSlamConfig
 
-    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+    def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
         """A vocabulary that must be trained first is trained once, outside the run's own time."""
         find_vocabulary(self.config.vocabulary, sequence, context.log)
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work, camera = context.work, sequence.camera
         p = opencv_pinhole(camera, "Photo-SLAM")
         orb: dict[str, Any] = {"File.version": "1.0", "Camera.type": "PinHole"}
@@ -144,7 +144,7 @@ class PhotoSlam(ExternalMethod):
             keyframes=output / "KeyFrameTrajectory_TUM.txt",
         )
 
-    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """As the base class, with the last map the program stored."""
         estimate = super().run(sequence, context)
         stored = sorted((context.work / "output").rglob("point_cloud.ply"), key=lambda p: p.stat().st_mtime)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import yaml
 
 from panobench import Camera, Estimate, InputError, MethodContext, UnsupportedError
-from panobench.datasets.base import Sequence
+from panobench.datasets.base import FrameSequence
 from panobench.methods.external_findings import Finding
 from panobench.methods.external_inputs import (
     ahead,
@@ -115,7 +115,7 @@ class StellaVslam(ExternalMethod):
         found = place.find(self.command()) if place.kind in ("local", "venv") else None
         return [Path(p) for p in (found, self._named()) if p is not None]
 
-    def set_up(self, sequence: Sequence, context: MethodContext) -> None:
+    def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
         """A vocabulary that must be trained or rewritten first is so outside the run's own time."""
         if not self._choice():
             find_vocabulary("", sequence, context.log)
@@ -135,7 +135,7 @@ class StellaVslam(ExternalMethod):
             raise InputError("no such vocabulary file (FBoW's format or DBoW2's text)", path)
         return path
 
-    def _vocabulary(self, sequence: Sequence, work: Path) -> Path | None:
+    def _vocabulary(self, sequence: FrameSequence, work: Path) -> Path | None:
         """A file in FBoW's format, if need be a rewritten one in the work folder."""
         if self._choice() == NONE:
             return None
@@ -147,7 +147,7 @@ class StellaVslam(ExternalMethod):
             fbow_from_dbow2(source, rewritten)
         return rewritten
 
-    def prepare(self, sequence: Sequence, context: MethodContext) -> Job:
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work = context.work
         if self.config.pace not in ("real-time", "free"):
             raise UnsupportedError(f"pace '{self.config.pace}': stella_vslam is run at pace real-time or free")
@@ -187,7 +187,7 @@ class StellaVslam(ExternalMethod):
             silent_when_lost=True,
         )
 
-    def run(self, sequence: Sequence, context: MethodContext) -> Estimate:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """As the base class; the program's own tracking times join the frames."""
         estimate = super().run(sequence, context)
         times = context.work / "eval" / "track_times.txt"
