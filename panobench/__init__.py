@@ -29,6 +29,7 @@ _EXPORTS = {
     "panobench.hookspecs": ("hookimpl",),
     "panobench.methods.base": ("BatchMethod", "MethodContext", "OnlineMethod"),
     "panobench.metrics.base": ("MetricInput", "PROTOCOL_VERSION"),
+    "panobench.options": ("OptionError", "Options", "option"),
     "panobench.specs": (
         "CONTRACT_VERSION",
         "CameraSpec",

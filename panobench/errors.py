@@ -25,14 +25,21 @@ class UsageError(PanobenchError):
 
 
 class UnknownNameError(UsageError):
-    """A plugin, sequence or option name that nobody registered; suggests the nearest one."""
+    """A plugin, sequence or option name that nobody registered; suggests the nearest one.
 
-    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+    nearest: what to suggest, if not what is spelt most nearly so. listed_by: the command that lists the known names,
+    given where they are too many for one line.
+    """
+
+    def __init__(
+        self, kind: str, name: str, known: Iterable[str], *, nearest: Iterable[str] | None = None, listed_by: str = ""
+    ) -> None:
         known = sorted(known)
-        close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-        hint = f"did you mean '{close[0]}'? " if close else ""
+        close = difflib.get_close_matches(name, known, n=1, cutoff=0.5) if nearest is None else list(nearest)
+        hint = f"did you mean {' or '.join(repr(c) for c in close)}? " if close else ""
         choices = ", ".join(known) if known else "none"
-        super().__init__(f"unknown {kind} '{name}': {hint}known: {choices}")
+        listing = f"`{listed_by}` lists them all" if listed_by and known else f"known: {choices}"
+        super().__init__(f"unknown {kind} '{name}': {hint}{listing}")
         self.kind, self.name, self.known = kind, name, known
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from panobench.errors import UnknownNameError, UsageError
+from panobench.options import OptionError, is_stage, nearest_options, option_names, type_words
 from panobench.specs import MethodSpec, load_object
 
 _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
@@ -31,7 +32,7 @@ def parse_settings(words: typing.Iterable[str]) -> dict[str, str]:
 def method_config(spec: MethodSpec, preset: str | None = None, settings: Mapping[str, Any] | None = None) -> Any:
     """The method's config object, or None if it has no options.
 
-    Raises UnknownNameError for a preset or key it does not have, UsageError for a value of the wrong type.
+    Raises UnknownNameError for a preset or option it does not have, UsageError for a value that is not allowed.
     """
     settings = dict(settings or {})
     if preset not in (None, "default", *spec.presets):
@@ -43,51 +44,56 @@ def method_config(spec: MethodSpec, preset: str | None = None, settings: Mapping
         return None
     cls = load_object(spec.config, f"config of method '{spec.name}'")
     chosen: Mapping[str, Any] = spec.presets.get(preset, {}) if preset else {}
+    listed_by = f"panobench list methods {spec.name}"
     try:
-        config = override(cls(), chosen, f"preset '{preset}' of method '{spec.name}'")
-        return override(config, settings, what)
+        config = override(cls(), chosen, f"preset '{preset}' of method '{spec.name}'", listed_by)
+        return override(config, settings, what, listed_by)
     except (TypeError, ValueError) as error:  # the dataclass's own __post_init__ refuses the values
         raise UsageError(f"method '{spec.name}': {error}") from error
 
 
-def override(
-    config: Any, values: Mapping[str, Any], what: str, known: list[str] | None = None, prefix: str = ""
-) -> Any:
-    """A copy of the dataclass with ``values``; keys may be dotted, or values nested, for dataclasses inside."""
-    known = option_names(config) if known is None else known
-    names = {f.name for f in dataclasses.fields(config) if f.init}
+def override(config: Any, values: Mapping[str, Any], what: str, listed_by: str = "") -> Any:
+    """A copy of the dataclass with ``values``; keys may be dotted, or values nested, for stages (dataclasses inside).
+
+    ``what`` names the kind of option in messages, ``listed_by`` the command that lists the options. Raises
+    UnknownNameError for a key it does not have, UsageError for a value of the wrong type, ValueError for one that the
+    dataclass refuses.
+    """
+    return _override(config, values, _Names(what, option_names(config), listed_by), "")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Names:
+    what: str
+    known: list[str]
+    listed_by: str
+
+    def unknown(self, key: str) -> UnknownNameError:
+        nearest = nearest_options(key, self.known)
+        return UnknownNameError(self.what, key, self.known, nearest=nearest, listed_by=self.listed_by)
+
+
+def _override(config: Any, values: Mapping[str, Any], names: _Names, prefix: str) -> Any:
+    own = {f.name for f in dataclasses.fields(config) if f.init}
     hints = typing.get_type_hints(type(config))
     changes: dict[str, Any] = {}
     nested: dict[str, dict[str, Any]] = {}
     for key, value in values.items():
         head, _, rest = str(key).partition(".")
-        inside = head in names and _is_config(getattr(config, head))
+        inside = head in own and is_stage(getattr(config, head))
         inner = {rest: value} if rest else value
-        if head not in names or (inside and not isinstance(inner, Mapping)) or (rest and not inside):
-            raise UnknownNameError(what, prefix + str(key), known)
+        if head not in own or (inside and not isinstance(inner, Mapping)) or (rest and not inside):
+            raise names.unknown(prefix + str(key))
         if inside:
             nested.setdefault(head, {}).update(inner)
         else:
             changes[head] = coerce(value, hints.get(head, Any), prefix + head)
     for head, inner in nested.items():
-        changes[head] = override(getattr(config, head), inner, what, known, f"{prefix}{head}.")
-    return dataclasses.replace(config, **changes)
-
-
-def _is_config(value: Any) -> bool:
-    return dataclasses.is_dataclass(value) and not isinstance(value, type)
-
-
-def option_names(config: Any) -> list[str]:
-    """Every key that ``--set`` takes, dotted for nested dataclasses."""
-    names = []
-    for f in dataclasses.fields(config):
-        value = getattr(config, f.name)
-        if _is_config(value):
-            names += [f"{f.name}.{inner}" for inner in option_names(value)]
-        elif f.init:
-            names.append(f.name)
-    return names
+        changes[head] = _override(getattr(config, head), inner, names, f"{prefix}{head}.")
+    try:
+        return dataclasses.replace(config, **changes)
+    except OptionError as error:
+        raise OptionError(prefix + error.option, error.problem) from None
 
 
 def config_values(config: Any) -> dict[str, Any]:
@@ -113,7 +119,7 @@ def coerce(value: Any, hint: Any, key: str) -> Any:
     try:
         return _coerce(value, hint)
     except (TypeError, ValueError, OverflowError):
-        raise UsageError(f"option {key}: '{value}' is not {_name(hint)}") from None
+        raise UsageError(f"option {key}: '{value}' is not {type_words(hint)}") from None
 
 
 def _coerce(value: Any, hint: Any) -> Any:
@@ -182,20 +188,3 @@ def _series(value: Any, kind: Any, args: tuple[Any, ...]) -> Any:
         return tuple(_coerce(item, hint) for item, hint in zip(items, args))
     hint = args[0] if args else Any
     return kind(_coerce(item, hint) for item in items)
-
-
-def _name(hint: Any) -> str:
-    """How a user would say the type."""
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    words = {int: "a whole number", float: "a number", bool: "true or false", str: "text", type(None): "none"}
-    if hint in words:
-        return words[hint]
-    if origin in (typing.Union, types.UnionType):
-        return " or ".join(_name(a) for a in args)
-    if origin is typing.Literal:
-        return "one of " + ", ".join(str(a) for a in args)
-    if isinstance(hint, type) and issubclass(hint, enum.Enum):
-        return "one of " + ", ".join(str(m.value) for m in hint)
-    if origin in (tuple, list):
-        return f"{len(args)} values with commas" if args and args[-1] is not Ellipsis else "values with commas"
-    return getattr(hint, "__name__", str(hint))

@@ -1,15 +1,21 @@
-"""`panobench list`: everything that is registered, with its origin and whether it can run here."""
+"""`panobench list`: everything that is registered, with its origin and whether it can run here; a method's options."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+import shutil
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, fields
+from itertools import groupby
 from typing import Annotated, Any
 
 import typer
 
-from panobench.errors import UnknownNameError
+from panobench.errors import UnavailableError, UnknownNameError
+from panobench.options import OptionDescription, describe_options
 from panobench.plugins import Registered, Registry, registry
+from panobench.specs import load_object
 
 app = typer.Typer()
 
@@ -41,8 +47,14 @@ def list_command(
         entries = known.entries.get(kind, {})
         if name not in entries:
             raise UnknownNameError(kind, name, entries)
-        entry = describe(entries[name], full=True)
-        print(json.dumps(entry, indent=2, default=str) if as_json else _long(entry))
+        entry, options = describe(entries[name], full=True), method_options(entries[name])
+        if as_json:
+            listed = {"options": [asdict(o) for o in options]} if kind == "method" else {}
+            print(json.dumps({**entry, **listed}, indent=2, default=str))
+        else:
+            width = shutil.get_terminal_size().columns
+            presets = entry.pop("presets", {})
+            print("\n".join([_long(entry), *_option_lines(options, width), *_preset_lines(presets, width)]))
         return
     listing = {k: [describe(r) for r in known.entries.get(k, {}).values()] for k in KINDS if kind in (None, k)}
     if as_json:
@@ -65,6 +77,66 @@ def describe(entry: Registered, full: bool = False) -> dict[str, Any]:
         if hasattr(spec, extra):
             shown[extra] = getattr(spec, extra)
     return {**values, **{k: _plain(v) for k, v in shown.items() if k not in values}}
+
+
+def method_options(entry: Registered) -> list[OptionDescription]:
+    """Every option of a method; [] for other plugins, and for methods without any or whose packages are missing."""
+    path = getattr(entry.spec, "config", None)
+    if path is None:
+        return []
+    try:
+        return describe_options(load_object(path, f"config of method '{entry.spec.name}'")())
+    except UnavailableError:
+        return []
+
+
+def _option_lines(options: list[OptionDescription], width: int) -> Iterator[str]:
+    """A heading per stage, then a line per option: its name, default with unit, and what it is."""
+    name_width = max((len(o.name) for o in options), default=0)
+    rows = [(o, f"{_shown(o.default)} {o.unit}".strip()) for o in options]
+    default_width = max((len(default) for _, default in rows), default=0)
+    indent = " " * (name_width + default_width + 6)
+    for stage, members in groupby(rows, key=lambda row: row[0].stage):
+        yield ""
+        yield f"Options: {stage}" if stage else "Options"
+        for o, default in members:
+            about = [o.help, "" if o.type in _PLAIN_TYPES else o.type, o.bounds]
+            text = f"  {o.name:{name_width}}  {default:{default_width}}  {'; '.join(a for a in about if a)}".rstrip()
+            if width - len(indent) < 30:  # too narrow for columns: the terminal wraps
+                yield text
+            else:
+                yield from textwrap.wrap(text, width, subsequent_indent=indent, break_long_words=False) or [text]
+
+
+def _preset_lines(presets: dict[str, dict[str, Any]], width: int) -> Iterator[str]:
+    for name, values in presets.items():
+        yield ""
+        yield f"Preset {name}"
+        words = " ".join(f"{key}={_shown(value)}" for key, value in _flat(values))
+        yield from textwrap.wrap(words, width, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Nested values under dotted names."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+#: A default shows these types already.
+_PLAIN_TYPES = ("a whole number", "a number", "true or false", "text")
+
+
+def _shown(value: Any) -> str:
+    """A default as `--set` takes it."""
+    if isinstance(value, bool) or value is None:
+        return str(value).lower()
+    if isinstance(value, (tuple, list)):
+        return ",".join(map(_shown, value)) or '""'
+    value = getattr(value, "value", value)  # of an enum
+    return str(value).removesuffix(".0") if isinstance(value, float) else str(value) or '""'
 
 
 def _unavailable(entry: Registered) -> str | None:
