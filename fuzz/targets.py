@@ -200,7 +200,7 @@ def _parse_tum(path: Path) -> None:
 
 
 def _parse_answer(folder: Path) -> Parse:
-    from panobench.methods.external_trajectory import TrajectoryFormat, read_answer
+    from panobench.external.trajectory import TrajectoryFormat, read_answer
 
     times = np.arange(6) * 0.05
     forms = [TrajectoryFormat(kind) for kind in ("tum", "tum-ns", "kitti", "euroc")]  # type: ignore[arg-type]
@@ -222,7 +222,7 @@ def _parse_answer(folder: Path) -> Parse:
 
 
 def _parse_import(folder: Path) -> Parse:
-    from panobench.methods.external_imported import ImportOptions, read_imported
+    from panobench.external.imported import ImportOptions, read_imported
 
     return lambda path: read_imported(path, ImportOptions(), np.arange(6) * 0.05)
 

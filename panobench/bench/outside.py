@@ -56,7 +56,7 @@ def _named(function: str | None, argument: Any, name: str) -> list[Path]:
 
 def _program(spec: MethodSpec, config: Any) -> Iterable[Path]:
     """The program of an adapter, for all that derive from ``ExternalMethod``."""
-    from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod
+    from panobench.external.adapter import ExternalConfig, ExternalMethod
 
     if not isinstance(config, ExternalConfig):
         return ()

@@ -17,7 +17,7 @@ from panobench.plugins import Registered, Registry, registry
 from panobench.specs import MethodSpec, Spec
 
 if TYPE_CHECKING:
-    from panobench.methods.external_findings import Finding
+    from panobench.external.findings import Finding
 
 app = typer.Typer()
 #: Where a name is looked up first.
@@ -67,7 +67,7 @@ def find_entry(known: Registry, name: str) -> Registered:
 
 def examine(spec: Spec) -> list[Finding]:
     """Everything the spec asks for, in order; what depends on something missing is left out."""
-    from panobench.methods.external_findings import Finding
+    from panobench.external.findings import Finding
 
     findings = []
     for module in spec.requires:

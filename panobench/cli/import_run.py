@@ -14,7 +14,7 @@ import typer
 
 if TYPE_CHECKING:
     from panobench.bench.request import RunRequest
-    from panobench.methods.external_imported import ImportOptions
+    from panobench.external.imported import ImportOptions
 
 app = typer.Typer()
 
@@ -51,7 +51,7 @@ def import_run(
     from panobench.bench.runfolder import RUN_JSON, read_run_json
     from panobench.cli.run import exit_code, summary
     from panobench.errors import UsageError
-    from panobench.methods.external_imported import ImportOptions
+    from panobench.external.imported import ImportOptions
 
     if not name.strip() or not name.isprintable() or len(name) > 80:
         raise UsageError("--name: give one line of up to 80 characters")
@@ -102,8 +102,8 @@ def score_import(
     from panobench.bench.runner import RunLog, default_folder
     from panobench.bench.tracking import track_batch
     from panobench.bench.views import held_out
+    from panobench.external.imported import ImportedTrajectory
     from panobench.methods.base import MethodContext
-    from panobench.methods.external_imported import ImportedTrajectory
     from panobench.metrics.base import MetricInput
     from panobench.specs import MethodSpec
 

@@ -11,7 +11,8 @@ from typing import Any
 _EXPORTS = {
     "panobench.testing.check_metrics": ("made_up_run",),
     "panobench.testing.conformance": ("Check", "Options", "check_spec", "assert_conforms"),
-    "panobench.testing.cameras": ("FakeCamera",),
+    "panobench.cameras.factory": ("camera_from_dict",),
+    "panobench.testing.cameras": ("FakeCamera", "annular_camera", "fisheye_camera", "pinhole_camera"),
     "panobench.testing.fixtures": ("fake_camera", "rotating_sequence", "tiny_sequence"),
     "panobench.testing.programs": ("pose_rows", "write_program"),
     "panobench.testing.running": ("MethodRun", "ate_rmse", "make_method", "rotation_error_deg", "run_method"),

@@ -91,3 +91,25 @@ class FakeCamera(Camera):
         if mask is not None and mask.shape != (self.height, self.width):
             raise CalibrationError(f"the mask is {mask.shape}, the image ({self.height}, {self.width})")
         return replace(self, mask=mask)
+
+
+def pinhole_camera(width: int = 64, horizontal_deg: float = 90.0, vertical_deg: float = 70.0) -> Camera:
+    """An undistorted pinhole camera of a given field of view."""
+    from panobench.cameras.pinhole import PinholeCamera
+
+    return PinholeCamera.from_fov(width, horizontal_deg, vertical_deg)
+
+
+def fisheye_camera(width: int = 96, fov_deg: float = 120.0) -> Camera:
+    """A square equidistant fisheye camera (Kannala-Brandt without distortion)."""
+    from panobench.cameras.kannala_brandt import KannalaBrandtCamera
+
+    return KannalaBrandtCamera.equidistant(width, fov_deg)
+
+
+def annular_camera() -> Camera:
+    """A panoramic annular lens like PALVIO's at a tenth of its size (128x96): 40 to 110 degrees off the axis."""
+    from panobench.cameras.scaramuzza import ScaramuzzaCamera
+
+    direct = (-24.45, 0.0, 0.0174861, -0.000175777, 0.00004475965)
+    return ScaramuzzaCamera(128, 96, direct, 64.5, 48.6, (37.7, 24.7, 1.9, 2.4), r_min=16, r_max=47)

@@ -25,7 +25,7 @@ from panobench import (
     UnknownNameError,
     hookimpl,
 )
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench.external.adapter import ExternalConfig, ExternalMethod, Job
 from panobench.testing import TinySequence
 
 

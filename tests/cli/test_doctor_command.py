@@ -12,9 +12,9 @@ import pytest
 from panobench import MethodSpec, OnlineMethod
 from panobench.cli import doctor
 from panobench.cli.main import run as panobench
+from panobench.external.adapter import ExternalMethod, Job
+from panobench.external.findings import missing_libraries
 from panobench.methods.base import MethodContext
-from panobench.methods.external_findings import missing_libraries
-from panobench.methods.subprocess_adapter import ExternalMethod, Job
 from panobench.plugins import Registered, registry
 
 

@@ -193,7 +193,7 @@ def test_a_name_of_several_lines_is_refused(root: Path, tmp_path: Path, truth: T
 
 def test_it_is_a_function_too(root: Path, tmp_path: Path, truth: Trajectory) -> None:
     from panobench.bench.request import RunRequest
-    from panobench.methods.external_imported import ImportOptions
+    from panobench.external.imported import ImportOptions
 
     write_tum(tmp_path / "them.tum", truth)
     request = RunRequest("Mine", dataset="folder", root=str(root), width=128)

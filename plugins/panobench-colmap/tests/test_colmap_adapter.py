@@ -12,9 +12,17 @@ from panobench_colmap import SPEC
 from panobench_colmap.method import Colmap, ColmapConfig, colmap_camera
 
 from panobench import MethodError, UnsupportedError
-from panobench.cameras.kannala_brandt import KannalaBrandtCamera
-from panobench.cameras.pinhole import PinholeCamera
-from panobench.testing import FakeCamera, TinySequence, assert_conforms, ate_rmse, erp_camera, pose_rows, run_method
+from panobench.testing import (
+    FakeCamera,
+    TinySequence,
+    assert_conforms,
+    ate_rmse,
+    camera_from_dict,
+    erp_camera,
+    fisheye_camera,
+    pose_rows,
+    run_method,
+)
 
 
 def test_it_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,13 +32,14 @@ def test_it_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.MonkeyPat
 
 def test_cameras_become_colmaps() -> None:
     assert colmap_camera(erp_camera(128)) == ("EQUIRECTANGULAR", [128.0, 64.0])
-    pinhole = PinholeCamera(96, 64, 50.0, 51.0, 48.0, 32.0)
+    values = {"model": "pinhole", "width": 96, "height": 64, "fx": 50.0, "fy": 51.0, "cx": 48.0, "cy": 32.0}
+    pinhole = camera_from_dict(values)
     assert colmap_camera(pinhole) == ("PINHOLE", [50.0, 51.0, 48.0, 32.0])
-    distorted = PinholeCamera(96, 64, 50.0, 51.0, 48.0, 32.0, distortion=(0.1, 0.2, 0.3, 0.4))
+    distorted = camera_from_dict({**values, "distortion": [0.1, 0.2, 0.3, 0.4]})
     model, parameters = colmap_camera(distorted)
     assert model == "FULL_OPENCV"
     assert len(parameters) == 12
-    assert colmap_camera(KannalaBrandtCamera.equidistant(96, 120))[0] == "OPENCV_FISHEYE"
+    assert colmap_camera(fisheye_camera(96, 120))[0] == "OPENCV_FISHEYE"
     with pytest.raises(UnsupportedError, match="no fake camera"):
         colmap_camera(FakeCamera())
 

@@ -11,26 +11,14 @@ import pytest
 from panobench_lf_vislam import SPEC
 from panobench_lf_vislam.method import LfVislam, LfVislamConfig, camera_section
 
-from panobench import Imu, MethodError, UnsupportedError
-from panobench.cameras.scaramuzza import ScaramuzzaCamera
+from panobench import Imu, MethodError, Trajectory, UnsupportedError
+from panobench.external import BAG_START_S, opencv_yaml
 from panobench.geometry import invert_pose, make_pose, so3_exp
-from panobench.methods.external_bag import START_S
-from panobench.methods.external_inputs import opencv_yaml
-from panobench.testing import TinySequence, assert_conforms, pose_rows, run_method, write_program
-from panobench.types import Trajectory
+from panobench.testing import TinySequence, annular_camera, assert_conforms, pose_rows, run_method, write_program
 
 T_BODY_CAM = make_pose(so3_exp([-0.4, 0.2, 1.3]), [0.0, 0.0, 0.03])
 #: A lens of PALVIO's kind at a tenth of its size: rho = 24.5 (1.54 - theta) nearly, 40 to 110 degrees.
-PAL = ScaramuzzaCamera(
-    128,
-    96,
-    (-24.45, 0.0, 0.0174861, -0.000175777, 0.00004475965),
-    64.5,
-    48.6,
-    (37.7, 24.7, 1.9, 2.4),
-    r_min=16,
-    r_max=47,
-)
+PAL = annular_camera()
 
 ROSLAUNCH = """
 import re, sys
@@ -54,7 +42,7 @@ class WithBody(TinySequence):
 def body_rows(sequence: TinySequence) -> str:
     """As LF-VISLAM writes it: TUM rows of the body on the bag's clock."""
     assert sequence.groundtruth is not None
-    body = Trajectory(sequence.times + START_S, sequence.groundtruth.T_wc @ invert_pose(T_BODY_CAM))
+    body = Trajectory(sequence.times + BAG_START_S, sequence.groundtruth.T_wc @ invert_pose(T_BODY_CAM))
     return "".join(" ".join(f"{v:.12f}" for v in row) + "\n" for row in pose_rows(body))
 
 

@@ -11,11 +11,10 @@ from panobench_monogs import SPEC
 from panobench_monogs.method import BASE_CONFIG, MonoGs, MonoGsConfig
 
 from panobench import MethodError, UnavailableError
-from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import invert_pose
-from panobench.testing import TinySequence, assert_conforms, ate_rmse, run_method
+from panobench.testing import TinySequence, assert_conforms, ate_rmse, pinhole_camera, run_method
 
-CAMERA = PinholeCamera.from_fov(64, 90, 70)
+CAMERA = pinhole_camera(64, 90, 70)
 #: As MonoGS's slam.py: reads its YAML, reads the TUM folder, ends with eval_ate(..., final=True).
 SLAM = """
 import argparse, os

@@ -16,21 +16,28 @@ from panobench_orbslam3.settings import OrbSlam3Config, seen, settings
 from panobench_orbslam3.track import decode_grey_png
 
 from panobench import Camera, MethodContext, MethodError, UnavailableError, UnsupportedError
-from panobench.cameras.kannala_brandt import KannalaBrandtCamera
-from panobench.cameras.pinhole import PinholeCamera
+from panobench.external import VOCABULARY_VARIABLE, opencv_yaml, orb_descriptors, train_vocabulary
 from panobench.geometry import make_pose, so3_exp
-from panobench.methods.external_inputs import opencv_yaml
-from panobench.methods.external_vocabulary import VARIABLE, orb_descriptors, train
-from panobench.testing import TinySequence, assert_conforms, ate_rmse, pose_rows, run_method, write_program
+from panobench.testing import (
+    TinySequence,
+    assert_conforms,
+    ate_rmse,
+    camera_from_dict,
+    fisheye_camera,
+    pinhole_camera,
+    pose_rows,
+    run_method,
+    write_program,
+)
 
-PINHOLE = PinholeCamera.from_fov(96, 90, 70)
+PINHOLE = pinhole_camera(96, 90, 70)
 
 
 @pytest.fixture
 def vocabulary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "ORBvoc.txt"
     path.write_text("10 6 0 0\n0 1 " + "0 " * 32 + "0.5\n")
-    monkeypatch.setenv(VARIABLE, str(path))
+    monkeypatch.setenv(VOCABULARY_VARIABLE, str(path))
     return path
 
 
@@ -160,7 +167,8 @@ def test_an_environment_without_the_package_says_how_to_get_it(tmp_path: Path) -
 
 
 def test_settings_hold_the_cameras_in_opencv_pixels(tmp_path: Path) -> None:
-    distorted = PinholeCamera(96, 64, 50.0, 51.0, 48.0, 32.0, distortion=(0.1, -0.02, 0.001, 0.002))
+    values = {"model": "pinhole", "width": 96, "height": 64, "fx": 50.0, "fy": 51.0, "cx": 48.0, "cy": 32.0}
+    distorted = camera_from_dict({**values, "distortion": [0.1, -0.02, 0.001, 0.002]})
     (tmp_path / "s.yaml").write_text(opencv_yaml(settings(distorted, 29.97, OrbSlam3Config(levels=2))))
     file = cv2.FileStorage(str(tmp_path / "s.yaml"), cv2.FILE_STORAGE_READ)
     assert file.getNode("Camera1.cx").real() == 47.5
@@ -168,13 +176,13 @@ def test_settings_hold_the_cameras_in_opencv_pixels(tmp_path: Path) -> None:
     assert file.getNode("Camera.fps").isInt()
     assert file.getNode("Camera1.fx").isReal()
     assert file.getNode("Camera.type").string() == "PinHole"
-    fisheye = settings(KannalaBrandtCamera.equidistant(96, 120), 10.0, OrbSlam3Config(levels=2))
+    fisheye = settings(fisheye_camera(96, 120), 10.0, OrbSlam3Config(levels=2))
     assert fisheye["Camera.type"] == "KannalaBrandt8"
     assert fisheye["Camera1.k4"] == 0.0
 
 
 def test_a_fisheye_is_shown_as_far_as_the_program_can_see(vocabulary: Path, tmp_path: Path) -> None:
-    lens = KannalaBrandtCamera.equidistant(96, 190)
+    lens = fisheye_camera(96, 190)
     sequence = TinySequence(lens, n=2)
     method = OrbSlam3Binary(OrbSlam3Config(levels=2))
     method.prepare(sequence, MethodContext(work=tmp_path))
@@ -188,14 +196,14 @@ def test_a_fisheye_is_shown_as_far_as_the_program_can_see(vocabulary: Path, tmp_
 
 def test_images_on_which_it_crashes_are_refused() -> None:
     """ORB-SLAM3 ended with a C++ exception on views of 288x96: rows / 1.2^7 is less than the margin it leaves out."""
-    small = PinholeCamera.from_fov(288, 120, 60)  # the view that goes with panoramas of 512 pixels
+    small = pinhole_camera(288, 120, 60)  # the view that goes with panoramas of 512 pixels
     assert small.height == 96
     with pytest.raises(UnsupportedError, match=r"288x96 pixels are too few for 8 .*--set levels=6$"):
         settings(small, 10.0, OrbSlam3Config())
     assert settings(small, 10.0, OrbSlam3Config(levels=6))["ORBextractor.nLevels"] == 6
     assert settings(small, 10.0, OrbSlam3Config(scale_factor=1.1))["ORBextractor.nLevels"] == 8
     with pytest.raises(UnsupportedError, match=r"give a larger --width$"):
-        settings(PinholeCamera.from_fov(32, 90, 90), 10.0, OrbSlam3Config())
+        settings(pinhole_camera(32, 90, 90), 10.0, OrbSlam3Config())
 
 
 def test_a_panorama_is_refused() -> None:
@@ -213,11 +221,11 @@ def test_the_png_reader_of_the_runner_agrees_with_opencv() -> None:
 @pytest.mark.skipif(importlib.util.find_spec("pyorbslam3") is None, reason="pyorbslam3 is not installed")
 @pytest.mark.skipif(OrbSlam3.missing() is not None, reason="pyorbslam3's shared libraries are not installed")
 def test_the_genuine_orbslam3_follows_a_camera_past_a_corner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    camera = PinholeCamera.from_fov(480, 80, 64)
+    camera = pinhole_camera(480, 80, 64)
     training = CornerRoom(camera, n=2, seed=9)
-    tree = train(orb_descriptors(training.image(i) for i in range(2)), levels=3)
+    tree = train_vocabulary(orb_descriptors(training.image(i) for i in range(2)), levels=3)
     (tmp_path / "voc.txt").write_text(tree.text())
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "voc.txt"))
+    monkeypatch.setenv(VOCABULARY_VARIABLE, str(tmp_path / "voc.txt"))
     sequence = CornerRoom(camera, n=40, rate=20.0, pose=past_the_corner)
     errors = []
     for _ in range(3):  # its threads race: on a busy machine a run may start its map badly

@@ -10,21 +10,19 @@ from panobench_p2u_slam import SPEC
 from panobench_p2u_slam.method import P2uSlam, P2uSlamConfig, missing, settings
 
 from panobench import UnavailableError, UnsupportedError
-from panobench.cameras.kannala_brandt import KannalaBrandtCamera
-from panobench.cameras.scaramuzza import ScaramuzzaCamera
-from panobench.methods.external_vocabulary import VARIABLE
-from panobench.testing import TinySequence, assert_conforms, ate_rmse, pose_rows, run_method, write_program
-
-PAL = ScaramuzzaCamera(
-    128,
-    96,
-    (-24.45, 0.0, 0.0174861, -0.000175777, 0.00004475965),
-    64.5,
-    48.6,
-    (37.7, 24.7, 1.9, 2.4),
-    r_min=16,
-    r_max=47,
+from panobench.external import VOCABULARY_VARIABLE
+from panobench.testing import (
+    TinySequence,
+    annular_camera,
+    assert_conforms,
+    ate_rmse,
+    fisheye_camera,
+    pose_rows,
+    run_method,
+    write_program,
 )
+
+PAL = annular_camera()
 STAND_IN = """
 import sys
 vocabulary, settings, folder, times, name = sys.argv[1:]
@@ -40,7 +38,7 @@ open(f"f_{name}.txt", "w").write(%r)
 def vocabulary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "ORBvoc.txt"
     path.write_text("10 6 0 0\n")
-    monkeypatch.setenv(VARIABLE, str(path))
+    monkeypatch.setenv(VOCABULARY_VARIABLE, str(path))
 
 
 def test_it_keeps_the_contract() -> None:
@@ -66,6 +64,6 @@ def test_its_absence_is_said_plainly() -> None:
 
 
 def test_its_other_cameras() -> None:
-    assert settings(KannalaBrandtCamera.equidistant(96, 120), 20.0, 1500)["Camera.type"] == "KannalaBrandt8"
+    assert settings(fisheye_camera(96, 120), 20.0, 1500)["Camera.type"] == "KannalaBrandt8"
     with pytest.raises(UnsupportedError, match="no erp camera"):
         settings(TinySequence().camera, 20.0, 1500)

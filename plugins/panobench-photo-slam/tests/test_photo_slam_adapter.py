@@ -11,12 +11,18 @@ from panobench_photo_slam import SPEC
 from panobench_photo_slam.method import MAPPER, PhotoSlam, PhotoSlamConfig
 
 from panobench import MethodError, UnsupportedError
-from panobench.cameras.pinhole import PinholeCamera
-from panobench.methods.external_inputs import opencv_yaml
-from panobench.methods.external_vocabulary import VARIABLE
-from panobench.testing import TinySequence, assert_conforms, ate_rmse, pose_rows, run_method, write_program
+from panobench.external import VOCABULARY_VARIABLE, opencv_yaml
+from panobench.testing import (
+    TinySequence,
+    assert_conforms,
+    ate_rmse,
+    pinhole_camera,
+    pose_rows,
+    run_method,
+    write_program,
+)
 
-CAMERA = PinholeCamera.from_fov(64, 90, 70)
+CAMERA = pinhole_camera(64, 90, 70)
 PLY = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n0\n1\n"
 TUM_MONO = """
 import os, sys
@@ -39,7 +45,7 @@ open(folder + "/point_cloud.ply", "w").write(%r)
 def vocabulary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "ORBvoc.txt"
     path.write_text("10 6 0 0\n")
-    monkeypatch.setenv(VARIABLE, str(path))
+    monkeypatch.setenv(VOCABULARY_VARIABLE, str(path))
 
 
 def test_it_keeps_the_contract() -> None:

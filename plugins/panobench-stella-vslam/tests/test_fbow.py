@@ -10,14 +10,14 @@ import pytest
 from panobench_stella_vslam.fbow import fbow_from_dbow2, is_fbow
 
 from panobench import InputError
-from panobench.methods.external_vocabulary import Vocabulary, train
+from panobench.external import Vocabulary, train_vocabulary
 
 HEAD = "<Q50s2xII4xQQQQQiiI4x"
 
 
 def some_vocabulary(branches: int = 5, levels: int = 3) -> Vocabulary:
     rng = np.random.default_rng(1)
-    return train([rng.integers(0, 256, (80, 32), dtype=np.uint8) for _ in range(4)], branches, levels)
+    return train_vocabulary([rng.integers(0, 256, (80, 32), dtype=np.uint8) for _ in range(4)], branches, levels)
 
 
 def differing_bits(a: bytes, b: bytes) -> int:

@@ -14,11 +14,20 @@ from panobench_stella_vslam.fbow import SIGNATURE
 from panobench_stella_vslam.method import VOCABULARY, StellaVslam, StellaVslamConfig, camera_values, pixels_per_feature
 
 from panobench import InputError, MethodContext, MethodError, UnavailableError, UnsupportedError
-from panobench.cameras.erp import ErpCamera
-from panobench.cameras.kannala_brandt import KannalaBrandtCamera
-from panobench.cameras.pinhole import PinholeCamera
-from panobench.methods.external_vocabulary import VARIABLE
-from panobench.testing import FakeCamera, TinySequence, assert_conforms, ate_rmse, pose_rows, run_method, write_program
+from panobench.external import VOCABULARY_VARIABLE
+from panobench.testing import (
+    FakeCamera,
+    TinySequence,
+    assert_conforms,
+    ate_rmse,
+    camera_from_dict,
+    erp_camera,
+    fisheye_camera,
+    pinhole_camera,
+    pose_rows,
+    run_method,
+    write_program,
+)
 
 STAND_IN = """
 import os, sys
@@ -48,7 +57,7 @@ open(folder + "track_times.txt", "w").write("0.01\\n" * len(images))
 @pytest.fixture(autouse=True)
 def without_a_vocabulary(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VOCABULARY, "none")  # none is trained for these tests
-    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.delenv(VOCABULARY_VARIABLE, raising=False)
 
 
 def program(path: Path, rows: str, expect: str = "model: equirectangular") -> StellaVslamConfig:
@@ -104,7 +113,7 @@ def test_a_dbow2_vocabulary_is_rewritten(tmp_path: Path, monkeypatch: pytest.Mon
     named = tmp_path / "ORBvoc.txt"
     named.write_text("10 6 0 0\n0 1 " + "0 " * 32 + "0.5\n")
     monkeypatch.delenv(VOCABULARY)
-    monkeypatch.setenv(VARIABLE, str(named))
+    monkeypatch.setenv(VOCABULARY_VARIABLE, str(named))
     sequence = TinySequence(n=3)
     method = StellaVslam(program(tmp_path, by_rate(sequence, 10.0)))
     run = run_method(method, sequence)
@@ -145,26 +154,27 @@ def test_it_is_unavailable_without_its_program() -> None:
 
 
 def test_cameras_become_stellas() -> None:
-    pinhole = yaml.safe_load(yaml.safe_dump(camera_values(PinholeCamera(96, 64, 50.0, 51.0, 48.0, 32.0), 30.0)))
+    values = {"model": "pinhole", "width": 96, "height": 64, "fx": 50.0, "fy": 51.0, "cx": 48.0, "cy": 32.0}
+    pinhole = yaml.safe_load(yaml.safe_dump(camera_values(camera_from_dict(values), 30.0)))
     assert pinhole["model"] == "perspective"
     assert pinhole["cx"] == 47.5
     assert pinhole["k3"] == 0.0
-    assert camera_values(KannalaBrandtCamera.equidistant(96, 120), 30.0)["model"] == "fisheye"
+    assert camera_values(fisheye_camera(96, 120), 30.0)["model"] == "fisheye"
     with pytest.raises(UnsupportedError, match="no fake camera"):
         camera_values(FakeCamera(), 30.0)
 
 
 def test_features_enough_for_small_images() -> None:
-    assert pixels_per_feature(ErpCamera(1920, 960)) == 800
-    assert pixels_per_feature(ErpCamera(512, 256)) == 57
-    assert pixels_per_feature(ErpCamera(3840, 1920)) == 800
-    assert pixels_per_feature(PinholeCamera.from_fov(640, 110, 90)) == 200
-    assert pixels_per_feature(PinholeCamera.from_fov(288, 120, 60)) == 20
+    assert pixels_per_feature(erp_camera(1920)) == 800
+    assert pixels_per_feature(erp_camera(512)) == 57
+    assert pixels_per_feature(erp_camera(3840)) == 800
+    assert pixels_per_feature(pinhole_camera(640, 110, 90)) == 200
+    assert pixels_per_feature(pinhole_camera(288, 120, 60)) == 20
 
 
 def test_images_on_which_it_crashes_are_refused(tmp_path: Path) -> None:
     """stella_vslam ended with std::bad_alloc on views of 288x96."""
-    sequence = TinySequence(PinholeCamera.from_fov(288, 120, 60), n=2)
+    sequence = TinySequence(pinhole_camera(288, 120, 60), n=2)
     config = dataclasses.replace(program(tmp_path, "", "model: perspective"), levels=8)
     with pytest.raises(UnsupportedError, match=r"288x96 pixels are too few for 8 .*--set levels=6$"):
         run_method(StellaVslam(config), sequence)
@@ -173,7 +183,7 @@ def test_images_on_which_it_crashes_are_refused(tmp_path: Path) -> None:
 
 def test_a_fisheye_is_masked_where_the_program_cannot_see(tmp_path: Path) -> None:
     """With all of a 190 degree image it never started a map: it carries keypoints to the plane z = 1."""
-    lens = KannalaBrandtCamera.equidistant(96, 190)
+    lens = fisheye_camera(96, 190)
     method = StellaVslam(StellaVslamConfig(levels=2))
     job = method.prepare(TinySequence(lens, n=2), MethodContext(work=tmp_path))
     assert job.arguments[job.arguments.index("--mask") + 1] == str(tmp_path / "mask.png")

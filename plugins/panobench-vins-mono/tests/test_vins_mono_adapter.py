@@ -12,17 +12,22 @@ import pytest
 from panobench_vins_mono import SPEC
 from panobench_vins_mono.method import VinsMono, VinsMonoConfig, camera_section, launch_file
 
-from panobench import Imu, MethodError, UnsupportedError
-from panobench.cameras.mei import MeiCamera
-from panobench.cameras.pinhole import PinholeCamera
+from panobench import Imu, MethodError, Trajectory, UnsupportedError
+from panobench.external import BAG_START_S, opencv_yaml, write_bag
 from panobench.geometry import invert_pose, make_pose, so3_exp
-from panobench.methods.external_bag import START_S, write_bag
-from panobench.methods.external_inputs import opencv_yaml
-from panobench.testing import TinySequence, assert_conforms, ate_rmse, pose_rows, run_method, write_program
-from panobench.types import Trajectory
+from panobench.testing import (
+    TinySequence,
+    assert_conforms,
+    ate_rmse,
+    camera_from_dict,
+    pinhole_camera,
+    pose_rows,
+    run_method,
+    write_program,
+)
 
 T_BODY_CAM = make_pose(so3_exp([0.1, 1.2, -0.3]), [0.05, -0.02, 0.1])
-CAMERA = PinholeCamera.from_fov(64, 90, 70)
+CAMERA = pinhole_camera(64, 90, 70)
 
 ROSLAUNCH = """
 import re, sys
@@ -53,7 +58,7 @@ def body_csv(sequence: TinySequence) -> str:
     body = Trajectory(sequence.times, sequence.groundtruth.T_wc @ invert_pose(T_BODY_CAM))
     lines = []
     for t, *rest in pose_rows(body, "wxyz"):
-        lines.append(f"{(t + START_S) * 1e9:.0f}," + ",".join(f"{v:.9f}" for v in rest) + ",0.1,0.2,0.3,")
+        lines.append(f"{(t + BAG_START_S) * 1e9:.0f}," + ",".join(f"{v:.9f}" for v in rest) + ",0.1,0.2,0.3,")
     return "\n".join(lines) + "\n"
 
 
@@ -115,7 +120,11 @@ def test_settings_are_read_back_by_opencv(tmp_path: Path) -> None:
 
 
 def test_meis_model_is_known() -> None:
-    section = camera_section(MeiCamera(64, 64, 60.0, 60.0, 32.0, 32.0, 1.2))
+    section = camera_section(
+        camera_from_dict(
+            {"model": "omni", "width": 64, "height": 64, "fx": 60.0, "fy": 60.0, "cx": 32.0, "cy": 32.0, "xi": 1.2}
+        )
+    )
     assert section["model_type"] == "MEI"
     assert section["mirror_parameters"] == {"xi": 1.2}
 

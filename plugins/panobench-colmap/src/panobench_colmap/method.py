@@ -10,12 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from panobench import Camera, Estimate, MethodContext, UnsupportedError
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_findings import Finding
-from panobench.methods.external_inputs import write_images, write_mask
-from panobench.methods.external_launch import Place
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench import Camera, Estimate, FrameSequence, MethodContext, UnsupportedError
+from panobench.external import ExternalConfig, ExternalMethod, Finding, Job, Place, write_images, write_mask
 
 _FIX = 'pip install "pycolmap>=4", or PANOBENCH_COLMAP_RUN_IN=venv:FOLDER'
 

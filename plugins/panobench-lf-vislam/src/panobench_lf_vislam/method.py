@@ -12,12 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from panobench import Camera, MethodContext, UnsupportedError
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_bag import write_bag
-from panobench.methods.external_inputs import opencv_yaml
-from panobench.methods.external_trajectory import TrajectoryFormat
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench import Camera, FrameSequence, MethodContext, UnsupportedError
+from panobench.external import ExternalConfig, ExternalMethod, Job, TrajectoryFormat, opencv_yaml, write_bag
 
 IMAGE_TOPIC, IMU_TOPIC = "/mindvision/mindvision/left/image_mono", "/mavros/imu/data"
 INVERSE_TERMS = 20

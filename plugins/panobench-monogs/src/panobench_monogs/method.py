@@ -15,12 +15,16 @@ from typing import Any, ClassVar
 import numpy as np
 import yaml
 
-from panobench import MethodContext
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_findings import Finding
-from panobench.methods.external_inputs import opencv_pinhole, write_images
-from panobench.methods.external_trajectory import TrajectoryFormat
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench import FrameSequence, MethodContext
+from panobench.external import (
+    ExternalConfig,
+    ExternalMethod,
+    Finding,
+    Job,
+    TrajectoryFormat,
+    opencv_pinhole,
+    write_images,
+)
 
 HOME = "PANOBENCH_MONOGS_HOME"
 BASE_CONFIG = "configs/mono/tum/base_config.yaml"

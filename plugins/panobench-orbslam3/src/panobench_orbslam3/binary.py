@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from panobench import MethodContext
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_inputs import frame_rate, nanoseconds, opencv_yaml, write_images
-from panobench.methods.external_trajectory import TrajectoryFormat
-from panobench.methods.external_vocabulary import find_vocabulary
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench import FrameSequence, MethodContext
+from panobench.external import (
+    ExternalConfig,
+    ExternalMethod,
+    Job,
+    TrajectoryFormat,
+    find_vocabulary,
+    frame_rate,
+    nanoseconds,
+    opencv_yaml,
+    write_images,
+)
 from panobench_orbslam3.settings import OrbSlam3Config, seen, settings
 
 

@@ -7,14 +7,23 @@ import sys
 from pathlib import Path
 from typing import ClassVar
 
-from panobench import Estimate, MethodContext
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_findings import Finding, missing_libraries
-from panobench.methods.external_inputs import frame_rate, nanoseconds, opencv_yaml, write_images
-from panobench.methods.external_launch import Place
-from panobench.methods.external_trajectory import TrajectoryFormat
-from panobench.methods.external_vocabulary import VARIABLE, find_vocabulary, named_vocabulary
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench import Estimate, FrameSequence, MethodContext
+from panobench.external import (
+    VOCABULARY_VARIABLE,
+    ExternalConfig,
+    ExternalMethod,
+    Finding,
+    Job,
+    Place,
+    TrajectoryFormat,
+    find_vocabulary,
+    frame_rate,
+    missing_libraries,
+    named_vocabulary,
+    nanoseconds,
+    opencv_yaml,
+    write_images,
+)
 from panobench_orbslam3.settings import OrbSlam3Config, seen, settings
 
 _FIX = 'pip install "pyorbslam3==0.1.1" (CPython 3.9 to 3.13, x86-64 Linux), or PANOBENCH_ORBSLAM3_RUN_IN=venv:FOLDER'
@@ -61,7 +70,9 @@ class OrbSlam3(ExternalMethod):
                 fix = "apt install libgl1 libegl1 libopengl0 libsm6 libice6 libx11-6 libxext6"
                 found.append(Finding(not lacking, "its shared libraries", detail, fix))
         named = named_vocabulary("")
-        detail = str(named) if named else f"none named in {VARIABLE}: one will be trained on built-in rooms, once"
+        detail = (
+            str(named) if named else f"none named in {VOCABULARY_VARIABLE}: one will be trained on built-in rooms, once"
+        )
         return [*found, Finding(True, "vocabulary", detail)]
 
     def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:

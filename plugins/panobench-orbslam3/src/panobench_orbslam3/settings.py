@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench import Camera, UnsupportedError
-from panobench.methods.external_inputs import ahead, opencv_fisheye, opencv_pinhole, require_pyramid
-from panobench.methods.subprocess_adapter import ExternalConfig
+from panobench.external import ExternalConfig, opencv_fisheye, opencv_pinhole, pixels_ahead, require_pyramid
 
 #: Pixels of each pyramid level, on both sides together, in which ORB-SLAM3 looks for no corners.
 MARGIN = 32
@@ -38,7 +37,7 @@ def seen(camera: Camera) -> NDArray[np.bool_] | None:
 
     It carries keypoints to the plane z = 1: with all of a 190 degree image it never started a map.
     """
-    return ahead(camera) if camera.kind == "fisheye" else None
+    return pixels_ahead(camera) if camera.kind == "fisheye" else None
 
 
 def settings(camera: Camera, rate: float, config: OrbSlam3Config) -> dict[str, Any]:

@@ -9,9 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from panobench import Camera, MethodContext, UnsupportedError
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_inputs import (
+from panobench import Camera, FrameSequence, MethodContext, UnsupportedError
+from panobench.external import (
+    ExternalConfig,
+    ExternalMethod,
+    Job,
+    TrajectoryFormat,
+    find_vocabulary,
     frame_rate,
     nanoseconds,
     opencv_fisheye,
@@ -20,9 +24,6 @@ from panobench.methods.external_inputs import (
     write_images,
     write_mask,
 )
-from panobench.methods.external_trajectory import TrajectoryFormat
-from panobench.methods.external_vocabulary import find_vocabulary
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
 
 PAL_TYPE = "Taylor"
 

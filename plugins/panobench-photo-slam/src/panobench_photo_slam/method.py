@@ -6,12 +6,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from panobench import Estimate, InputError, MethodContext
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_inputs import frame_rate, opencv_pinhole, opencv_yaml, write_images
-from panobench.methods.external_trajectory import TrajectoryFormat
-from panobench.methods.external_vocabulary import find_vocabulary
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench import Estimate, FrameSequence, InputError, MethodContext
+from panobench.external import (
+    ExternalConfig,
+    ExternalMethod,
+    Job,
+    TrajectoryFormat,
+    find_vocabulary,
+    frame_rate,
+    opencv_pinhole,
+    opencv_yaml,
+    write_images,
+)
 
 #: The mapper's settings: the numbers of the published monocular configuration for TUM RGB-D.
 MAPPER: dict[str, Any] = {

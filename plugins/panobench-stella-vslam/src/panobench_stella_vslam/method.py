@@ -12,21 +12,23 @@ from typing import Any, ClassVar
 
 import yaml
 
-from panobench import Camera, Estimate, InputError, MethodContext, UnsupportedError
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_findings import Finding
-from panobench.methods.external_inputs import (
-    ahead,
+from panobench import Camera, Estimate, FrameSequence, InputError, MethodContext, UnsupportedError
+from panobench.external import (
+    VOCABULARY_VARIABLE,
+    ExternalConfig,
+    ExternalMethod,
+    Finding,
+    Job,
+    TrajectoryFormat,
+    find_vocabulary,
     frame_rate,
     opencv_fisheye,
     opencv_pinhole,
+    pixels_ahead,
     require_pyramid,
     write_images,
     write_mask,
 )
-from panobench.methods.external_trajectory import TrajectoryFormat
-from panobench.methods.external_vocabulary import VARIABLE, find_vocabulary
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
 from panobench_stella_vslam.fbow import fbow_from_dbow2, is_fbow
 
 VOCABULARY = "PANOBENCH_STELLA_VSLAM_VOCABULARY"
@@ -104,7 +106,7 @@ class StellaVslam(ExternalMethod):
             named = method._named()
         except InputError as error:
             return [*found, Finding(False, "vocabulary", str(error), f"name another in {VOCABULARY}")]
-        detail = f"none named in {VOCABULARY} or {VARIABLE}: one will be trained on built-in rooms, once"
+        detail = f"none named in {VOCABULARY} or {VOCABULARY_VARIABLE}: one will be trained on built-in rooms, once"
         if method._choice() == NONE:
             detail = "none: loops are not closed"
         return [*found, Finding(True, "vocabulary", str(named) if named else detail)]
@@ -123,7 +125,7 @@ class StellaVslam(ExternalMethod):
 
     def _choice(self) -> str:
         """What the option or the variables name: a file, NONE, or nothing."""
-        return self.config.vocabulary or os.environ.get(VOCABULARY, "") or os.environ.get(VARIABLE, "")
+        return self.config.vocabulary or os.environ.get(VOCABULARY, "") or os.environ.get(VOCABULARY_VARIABLE, "")
 
     def _named(self) -> Path | None:
         """The vocabulary that the user named. Raises InputError if it is not there."""
@@ -172,7 +174,7 @@ class StellaVslam(ExternalMethod):
         arguments = ["--img-dir", str(work / "images"), "--config", str(work / "config.yaml")]
         arguments += ["--eval-log-dir", str(work / "eval"), "--start-timestamp", "0", "--viewer", "none", "--auto-term"]
         arguments += ["--no-sleep"] if self.config.pace == "free" else []
-        if write_mask(camera, work / "mask.png", ahead(camera) if camera.kind == "fisheye" else None):
+        if write_mask(camera, work / "mask.png", pixels_ahead(camera) if camera.kind == "fisheye" else None):
             arguments += ["--mask", str(work / "mask.png")]
         vocabulary = self._vocabulary(sequence, work)
         arguments += ["--vocab", str(vocabulary)] if vocabulary else ["--without-vocab"]

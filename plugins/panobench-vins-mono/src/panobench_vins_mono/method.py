@@ -11,12 +11,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from panobench import Camera, MethodContext, UnsupportedError
-from panobench.datasets.base import FrameSequence
-from panobench.methods.external_bag import write_bag
-from panobench.methods.external_inputs import opencv_pinhole, opencv_yaml
-from panobench.methods.external_trajectory import TrajectoryFormat
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
+from panobench import Camera, FrameSequence, MethodContext, UnsupportedError
+from panobench.external import (
+    ExternalConfig,
+    ExternalMethod,
+    Job,
+    TrajectoryFormat,
+    opencv_pinhole,
+    opencv_yaml,
+    write_bag,
+)
 
 IMAGE_TOPIC, IMU_TOPIC = "/cam0/image_raw", "/imu0"
 

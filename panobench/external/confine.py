@@ -1,6 +1,6 @@
 """Keep a program from writing outside given folders, by Landlock (Linux 5.13 and later), then start it.
 
-Run as a script: ``python external_confine.py DIR [DIR ...] -- PROGRAM [ARGUMENT ...]``. Standard library only, so that
+Run as a script: ``python confine.py DIR [DIR ...] -- PROGRAM [ARGUMENT ...]``. Standard library only, so that
 it starts in milliseconds under any interpreter. Interface: the kernel's Documentation/userspace-api/landlock.rst.
 """
 

@@ -18,14 +18,14 @@ import numpy as np
 
 from panobench.datasets.base import FrameSequence
 from panobench.errors import InputError, MethodError, MethodTimeoutError, UnavailableError, UsageError
-from panobench.methods import external_confine
+from panobench.external import confine
+from panobench.external.findings import Finding, missing_libraries
+from panobench.external.launch import Place, parse_place
+from panobench.external.process import Finished, clean_environment, last_lines, log_tail, run_logged
+from panobench.external.trajectory import TrajectoryFormat, read_answer
+from panobench.external.vocabulary import named_vocabulary
+from panobench.external.watch import guarded_folders, listing, strays
 from panobench.methods.base import BatchMethod, MethodContext
-from panobench.methods.external_findings import Finding, missing_libraries
-from panobench.methods.external_launch import Place, parse_place
-from panobench.methods.external_process import Finished, clean_environment, last_lines, log_tail, run_logged
-from panobench.methods.external_trajectory import TrajectoryFormat, read_answer
-from panobench.methods.external_vocabulary import named_vocabulary
-from panobench.methods.external_watch import guarded_folders, listing, strays
 from panobench.types import Estimate, RunStatus, Trajectory
 
 #: Of the program's log that go into the run's own: the work folder is removed afterwards.
@@ -154,7 +154,7 @@ class ExternalMethod(BatchMethod):
             missing = missing_libraries(Path(program))
             detail = f"needs {', '.join(missing)}" if missing else "all found"
             found.append(Finding(not missing, "shared libraries", detail, "install them, or set LD_LIBRARY_PATH"))
-        confined = external_confine.landlock_version() > 0 or place.tool is not None
+        confined = confine.landlock_version() > 0 or place.tool is not None
         detail = "writes are confined to the work folder" if confined else "no Landlock: strays are found afterwards"
         return [*found, Finding(True, "confinement", detail)]
 

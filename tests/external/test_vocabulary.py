@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from panobench.errors import InputError, UnavailableError
-from panobench.methods import external_vocabulary as vocabulary
+from panobench.external import vocabulary
 from panobench.testing import TinySequence
 
 
@@ -32,7 +32,7 @@ def tree_of(text: str) -> tuple[list[int], list[list[str]]]:
 
 
 def test_the_text_is_a_dbow2_tree(descriptors: list[np.ndarray]) -> None:
-    head, nodes = tree_of(vocabulary.train(descriptors, branches=10, levels=3).text())
+    head, nodes = tree_of(vocabulary.train_vocabulary(descriptors, branches=10, levels=3).text())
     assert head == [10, 3, 0, 0]
     for number, node in enumerate(nodes, start=1):
         assert len(node) == 35
@@ -47,34 +47,35 @@ def test_the_text_is_a_dbow2_tree(descriptors: list[np.ndarray]) -> None:
 
 
 def test_a_word_and_its_noisy_copy_meet_in_one_leaf(descriptors: list[np.ndarray]) -> None:
-    tree = vocabulary.train(descriptors, branches=10, levels=2)
+    tree = vocabulary.train_vocabulary(descriptors, branches=10, levels=2)
     centres = np.array([c for c, leaf in zip(tree.centre, tree.leaf) if leaf])
-    distance, _ = vocabulary.nearest(np.concatenate(descriptors), centres)
+    distance, _ = vocabulary.nearest_descriptors(np.concatenate(descriptors), centres)
     assert np.median(distance) <= 12  # six bits from the word each; unrelated ones differ in about 128
 
 
 def test_words_in_every_image_weigh_nothing(descriptors: list[np.ndarray]) -> None:
     same = [descriptors[0]] * 3
-    tree = vocabulary.train(same, levels=2)
+    tree = vocabulary.train_vocabulary(same, levels=2)
     assert max(w for w, leaf in zip(tree.weight, tree.leaf) if leaf) == 0
 
 
 def test_the_same_seed_gives_the_same_tree(descriptors: list[np.ndarray]) -> None:
     assert (
-        vocabulary.train(descriptors, levels=2, seed=3).text() == vocabulary.train(descriptors, levels=2, seed=3).text()
+        vocabulary.train_vocabulary(descriptors, levels=2, seed=3).text()
+        == vocabulary.train_vocabulary(descriptors, levels=2, seed=3).text()
     )
 
 
 def test_too_few_features_are_said() -> None:
     with pytest.raises(InputError, match="too few"):
-        vocabulary.train([])
+        vocabulary.train_vocabulary([])
 
 
 def test_a_named_file_is_taken_and_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     good, bad = tmp_path / "good.txt", tmp_path / "bad.txt"
     good.write_text("10 6 0 0\n")
     bad.write_bytes(b"\x80\x04pickle\n")
-    monkeypatch.setenv(vocabulary.VARIABLE, str(good))
+    monkeypatch.setenv(vocabulary.VOCABULARY_VARIABLE, str(good))
     assert vocabulary.find_vocabulary("", TinySequence(n=1), print) == good
     with pytest.raises(InputError, match=r"bad\.txt:1: not a DBoW2 vocabulary"):
         vocabulary.named_vocabulary(str(bad))
@@ -94,12 +95,12 @@ def test_it_never_trains_on_the_sequence_that_is_run(monkeypatch: pytest.MonkeyP
     sequence.dataset = "rooms"  # type: ignore[misc]
     assert vocabulary.training_rooms(sequence) == ["room2"]
     monkeypatch.setattr(Rooms, "sequences", lambda self: ["room1"])
-    with pytest.raises(UnavailableError, match=vocabulary.VARIABLE):
+    with pytest.raises(UnavailableError, match=vocabulary.VOCABULARY_VARIABLE):
         vocabulary.training_rooms(sequence)
 
 
 def test_a_trained_one_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, descriptors: list[np.ndarray]) -> None:
-    monkeypatch.delenv(vocabulary.VARIABLE, raising=False)
+    monkeypatch.delenv(vocabulary.VOCABULARY_VARIABLE, raising=False)
     monkeypatch.setattr(vocabulary, "_rooms", Rooms)
     monkeypatch.setattr(vocabulary, "cache_folder", lambda: tmp_path / "cache")
     monkeypatch.setattr(vocabulary, "room_images", lambda rooms: iter(()))
@@ -107,6 +108,6 @@ def test_a_trained_one_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
     log: list[str] = []
     first = vocabulary.find_vocabulary("", TinySequence(n=1), log.append)
     assert vocabulary.named_vocabulary(str(first)) == first
-    monkeypatch.setattr(vocabulary, "train", None)
+    monkeypatch.setattr(vocabulary, "train_vocabulary", None)
     assert vocabulary.find_vocabulary("", TinySequence(n=1), log.append) == first
     assert sum("training one" in line for line in log) == 1

@@ -20,7 +20,7 @@ from panobench.datasets.base import Dataset, FrameSequence
 from panobench.errors import InputError, UnavailableError
 
 #: Names the vocabulary for all adapters that need one.
-VARIABLE = "PANOBENCH_ORB_VOCABULARY"
+VOCABULARY_VARIABLE = "PANOBENCH_ORB_VOCABULARY"
 BRANCHES, LEVELS = 10, 5
 ROOMS = ("room1", "room2", "room3", "room4", "room5")
 TRAINING_FRAMES, TRAINING_STEP, TRAINING_WIDTH, FEATURES = 20, 2, 1024, 2000
@@ -29,7 +29,7 @@ Descriptors = NDArray[np.uint8]
 
 def named_vocabulary(option: str) -> Path | None:
     """The file of the option or the environment variable, or None. Raises InputError if it is no vocabulary."""
-    name = option or os.environ.get(VARIABLE, "")
+    name = option or os.environ.get(VOCABULARY_VARIABLE, "")
     if not name:
         return None
     path = Path(name).expanduser().resolve()
@@ -61,12 +61,12 @@ def find_vocabulary(option: str, sequence: FrameSequence, log: Callable[[str], N
     path = cache_folder() / f"orb-{hashlib.sha256(settings.encode()).hexdigest()[:16]}.txt"
     if not path.exists():
         log(f"no ORB vocabulary is named: training one on {', '.join(rooms)}; this takes a minute, once")
-        vocabulary = train(orb_descriptors(room_images(rooms)))
+        vocabulary = train_vocabulary(orb_descriptors(room_images(rooms)))
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.part")
         part.write_text(vocabulary.text())
         part.replace(path)
-    log(f"ORB vocabulary: {path.name}, trained on {', '.join(rooms)} (name the original in {VARIABLE})")
+    log(f"ORB vocabulary: {path.name}, trained on {', '.join(rooms)} (name the original in {VOCABULARY_VARIABLE})")
     return path
 
 
@@ -83,7 +83,9 @@ def training_rooms(sequence: FrameSequence) -> list[str]:
     own = sequence.name if sequence.dataset == "rooms" else ""
     rooms = [name for name in ROOMS if name in names and not own.startswith(name)]
     if not rooms:
-        raise UnavailableError(f"no ORB vocabulary: name one in {VARIABLE} (no other room is there to train one on)")
+        raise UnavailableError(
+            f"no ORB vocabulary: name one in {VOCABULARY_VARIABLE} (no other room is there to train one on)"
+        )
     return rooms
 
 
@@ -140,7 +142,9 @@ class Vocabulary:
         return "\n".join(lines) + "\n"
 
 
-def train(images: list[Descriptors], branches: int = BRANCHES, levels: int = LEVELS, seed: int = 0) -> Vocabulary:
+def train_vocabulary(
+    images: list[Descriptors], branches: int = BRANCHES, levels: int = LEVELS, seed: int = 0
+) -> Vocabulary:
     """A vocabulary tree of the images' descriptors. Raises InputError if there are too few of them."""
     data = np.concatenate(images) if images else np.zeros((0, 32), np.uint8)
     if len(data) < 2 * branches:
@@ -151,7 +155,7 @@ def train(images: list[Descriptors], branches: int = BRANCHES, levels: int = LEV
     queue = [(0, 0, np.arange(len(data)))]
     while queue:
         parent, level, members = queue.pop(0)
-        groups, centres = split(data[members], branches, rng)
+        groups, centres = k_medians(data[members], branches, rng)
         for k, centre in enumerate(centres):
             inside = members[groups == k]
             tree.parent.append(parent)
@@ -165,7 +169,7 @@ def train(images: list[Descriptors], branches: int = BRANCHES, levels: int = LEV
     return tree
 
 
-def nearest(a: Descriptors, b: Descriptors) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+def nearest_descriptors(a: Descriptors, b: Descriptors) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
     """For each descriptor of a (N, 32): differing bits to the nearest of b (M, 32), and which it is."""
     import cv2
 
@@ -173,7 +177,7 @@ def nearest(a: Descriptors, b: Descriptors) -> tuple[NDArray[np.int32], NDArray[
     return np.asarray(distance[:, 0], dtype=np.int32), np.asarray(index[:, 0], dtype=np.intp)
 
 
-def split(data: Descriptors, k: int, rng: np.random.Generator) -> tuple[NDArray[np.intp], Descriptors]:
+def k_medians(data: Descriptors, k: int, rng: np.random.Generator) -> tuple[NDArray[np.intp], Descriptors]:
     """k-medians of descriptors (N, 32): group of each row and centres (k', 32); k' <= k, no group empty.
 
     Seeded as k-means++; at most ten rounds.
@@ -182,19 +186,19 @@ def split(data: Descriptors, k: int, rng: np.random.Generator) -> tuple[NDArray[
         centres, groups = np.unique(data, axis=0, return_inverse=True)
         return groups.reshape(-1), centres
     chosen = [int(rng.integers(len(data)))]
-    distance = nearest(data, data[chosen])[0]
+    distance = nearest_descriptors(data, data[chosen])[0]
     while len(chosen) < k and distance.max() > 0:
         edges = np.cumsum(distance, dtype=np.int64)
         chosen.append(int(np.searchsorted(edges, rng.integers(edges[-1]), side="right")))
-        distance = np.minimum(distance, nearest(data, data[chosen[-1:]])[0])
+        distance = np.minimum(distance, nearest_descriptors(data, data[chosen[-1:]])[0])
     centres = data[chosen]
-    groups = nearest(data, centres)[1]
+    groups = nearest_descriptors(data, centres)[1]
     bits = np.unpackbits(data, axis=1)
     for _ in range(10):
         members = [groups == g for g in range(len(centres))]
         sums = [(bits[m].sum(axis=0, dtype=np.int32), int(m.sum())) for m in members if m.any()]
         centres = np.packbits([2 * ones >= n for ones, n in sums], axis=1)
-        again = nearest(data, centres)[1]
+        again = nearest_descriptors(data, centres)[1]
         if len(centres) == len(members) and np.array_equal(again, groups):
             break
         groups = again

@@ -71,7 +71,7 @@ def write_mask(camera: Camera, path: Path, keep: NDArray[np.bool_] | None = None
     return True
 
 
-def ahead(camera: Camera, half_angle_deg: float = 85.0) -> NDArray[np.bool_]:
+def pixels_ahead(camera: Camera, half_angle_deg: float = 85.0) -> NDArray[np.bool_]:
     """(H, W): valid pixels whose rays lie within an angle of the optical axis.
 
     For programs that carry image points on the plane z = 1, where rays at 90 degrees are at infinity and those beyond

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from panobench.errors import UnavailableError, UsageError
-from panobench.methods import external_confine
+from panobench.external import confine
 
 KINDS = ("local", "venv", "conda", "docker", "apptainer")
 
@@ -94,8 +94,8 @@ class Place:
                 variables["VIRTUAL_ENV"] = self.target
                 variables["PATH"] = f"{Path(self.target) / 'bin'}{os.pathsep}{variables.get('PATH', os.defpath)}"
             argv = [found, *argv[1:]]
-        if external_confine.landlock_version():
-            script = str(Path(external_confine.__file__).resolve())
+        if confine.landlock_version():
+            script = str(Path(confine.__file__).resolve())
             return Launch([sys.executable, "-I", "-S", script, str(work), "--", *argv], variables, confined=True)
         return Launch(argv, variables, confined=False)
 

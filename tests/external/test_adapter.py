@@ -15,15 +15,15 @@ import pytest
 
 from panobench.datasets.base import FrameSequence
 from panobench.errors import MethodError, MethodTimeoutError, UnavailableError, UsageError
-from panobench.methods import external_confine
+from panobench.external import confine
+from panobench.external.adapter import ExternalConfig, ExternalMethod, Job
+from panobench.external.launch import parse_place
+from panobench.external.process import clean_environment, log_tail, run_logged
 from panobench.methods.base import MethodContext
-from panobench.methods.external_launch import parse_place
-from panobench.methods.external_process import clean_environment, log_tail, run_logged
-from panobench.methods.subprocess_adapter import ExternalConfig, ExternalMethod, Job
 from panobench.testing import TinySequence, run_method
 from panobench.types import RunStatus
 
-LANDLOCK = external_confine.landlock_version() > 0
+LANDLOCK = confine.landlock_version() > 0
 ROWS = "".join(f"{0.1 * i:.6f} {i} 0 0 0 0 0 1\n" for i in range(4))
 
 
@@ -147,7 +147,7 @@ def test_a_hanging_program_and_its_children_are_ended(
         ready = place.exists() and len(place.read_text().split()) == 2
         return clock() + (1000.0 if ready else 0.0)
 
-    monkeypatch.setattr("panobench.methods.external_process.time.monotonic", later)
+    monkeypatch.setattr("panobench.external.process.time.monotonic", later)
     begin = clock()
     with pytest.raises(MethodTimeoutError, match=r"ended after 900 s; the log ends: waiting for a camera") as caught:
         run(script(body), tmp_path, timeout_s=900)
@@ -173,7 +173,7 @@ def test_ctrl_c_ends_the_program(script: Script, tmp_path: Path, monkeypatch: py
         if (work / "pid").exists() and (work / "pid").read_text():
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("panobench.methods.external_process.time.sleep", interrupt)
+    monkeypatch.setattr("panobench.external.process.time.sleep", interrupt)
     with pytest.raises(KeyboardInterrupt):
         run_logged([str(program), str(work)], cwd=work, environment={}, log=work / "log", timeout_s=30)
     monkeypatch.undo()
@@ -181,7 +181,7 @@ def test_ctrl_c_ends_the_program(script: Script, tmp_path: Path, monkeypatch: py
 
 
 def test_a_flood_of_output_is_stopped(script: Script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("panobench.methods.external_process.MAX_LOG_BYTES", 10000)
+    monkeypatch.setattr("panobench.external.process.MAX_LOG_BYTES", 10000)
     with pytest.raises(MethodError, match="filled its log"):
         run(script("while True: print('spam' * 1000, flush=True); time.sleep(0.01)"), tmp_path)
 
@@ -240,7 +240,7 @@ def test_neither_can_it_remove_or_change_what_is_there(script: Script, tmp_path:
 def test_without_kernel_support_strays_are_found(
     script: Script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(external_confine, "landlock_version", lambda: 0)
+    monkeypatch.setattr(confine, "landlock_version", lambda: 0)
     body = f"open(work + '/../escape.txt', 'w').write('x')\n{good()}"
     with pytest.raises(MethodError, match=r"wrote outside its work folder: .*escape\.txt"):
         run(script(body), tmp_path)
@@ -249,7 +249,7 @@ def test_without_kernel_support_strays_are_found(
 def test_without_kernel_support_a_tidy_program_passes(
     script: Script, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(external_confine, "landlock_version", lambda: 0)
+    monkeypatch.setattr(confine, "landlock_version", lambda: 0)
     assert len(run(script(good()), tmp_path).trajectory) == 4
 
 
@@ -311,7 +311,7 @@ def test_containers_get_only_the_work_folder(
 
 
 def test_conda_runs_in_the_named_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(external_confine, "landlock_version", lambda: 0)  # the stand-in notes outside its work folder
+    monkeypatch.setattr(confine, "landlock_version", lambda: 0)  # the stand-in notes outside its work folder
     said = fake_tool(tmp_path, "conda", monkeypatch)
     with pytest.raises(MethodError, match="wrote outside"):
         run(Path("slam"), tmp_path, run_in="conda:slam-env")

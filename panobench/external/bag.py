@@ -12,13 +12,13 @@ from panobench.types import Imu
 
 IMAGE, IMU = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
 #: ROS takes a time of zero for "not set": recordings start here, and answers are moved back.
-START_S = 1000
+BAG_START_S = 1000
 
 
 def write_bag(path: Path, sequence: FrameSequence, imu: Imu, image_topic: str, imu_topic: str) -> float:
     """Write the bag and return the seconds to add to its times to get the sequence's.
 
-    Images are mono8; samples are written in time order with them. Times are shifted so that the first is START_S.
+    Images are mono8; samples are written in time order with them. Times are shifted so that the first is BAG_START_S.
     """
     import cv2
     from rosbags.rosbag1 import Writer
@@ -26,7 +26,7 @@ def write_bag(path: Path, sequence: FrameSequence, imu: Imu, image_topic: str, i
 
     store = get_typestore(Stores.ROS1_NOETIC)
     begin = min(float(sequence.times[0]), float(imu.times[0]) if len(imu.times) else np.inf)
-    messages = _Messages(store.types, START_S - begin)
+    messages = _Messages(store.types, BAG_START_S - begin)
     with Writer(path) as writer:
         images = writer.add_connection(image_topic, IMAGE, typestore=store)
         samples = writer.add_connection(imu_topic, IMU, typestore=store)
@@ -46,7 +46,7 @@ def write_bag(path: Path, sequence: FrameSequence, imu: Imu, image_topic: str, i
             message = messages.image(frame.time, frame.index, np.asarray(grey, dtype=np.uint8))
             writer.write(images, messages.nanoseconds(frame.time), store.serialize_ros1(message, IMAGE))
         send_imu(np.inf)
-    return begin - START_S
+    return begin - BAG_START_S
 
 
 class _Messages:

@@ -13,9 +13,9 @@ from panobench.datasets import trajectory_io as io
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import InputError, UsageError
+from panobench.external.trajectory import READERS, Kind
 from panobench.geometry import invert_pose
 from panobench.methods.base import BatchMethod, MethodContext
-from panobench.methods.external_trajectory import READERS, Kind
 from panobench.types import Estimate, Trajectory
 
 if TYPE_CHECKING:

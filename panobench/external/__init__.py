@@ -1,0 +1,53 @@
+"""Running other people's programs as panobench methods: what the adapters under ``plugins/`` are built of.
+
+Part of the plugin contract (`docs/plugins.md`). Names are imported on first use, so that `panobench --help` stays fast.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+_EXPORTS = {
+    "panobench.external.adapter": (
+        "ExternalConfig",
+        "ExternalMethod",
+        "ExternalProgramError",
+        "ExternalTimeoutError",
+        "Job",
+    ),
+    "panobench.external.bag": ("BAG_START_S", "write_bag"),
+    "panobench.external.findings": ("Finding", "missing_libraries"),
+    "panobench.external.inputs": (
+        "OpenCvFisheye",
+        "OpenCvPinhole",
+        "WrittenImages",
+        "frame_rate",
+        "nanoseconds",
+        "opencv_fisheye",
+        "opencv_pinhole",
+        "opencv_yaml",
+        "pixels_ahead",
+        "require_pyramid",
+        "write_images",
+        "write_mask",
+    ),
+    "panobench.external.launch": ("Place", "parse_place"),
+    "panobench.external.trajectory": ("TrajectoryFormat", "read_answer"),
+    "panobench.external.vocabulary": (
+        "VOCABULARY_VARIABLE",
+        "Vocabulary",
+        "find_vocabulary",
+        "named_vocabulary",
+        "orb_descriptors",
+        "train_vocabulary",
+    ),
+}
+_WHERE = {name: module for module, names in _EXPORTS.items() for name in names}
+__all__ = sorted(_WHERE)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'panobench.external' has no attribute '{name}'")
+    return getattr(importlib.import_module(_WHERE[name]), name)
