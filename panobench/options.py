@@ -70,7 +70,7 @@ class OptionMetadata:
         return None if within else f"must be a number{self.bounds(' ')}, not {value}"
 
     def bounds(self, before: str = "") -> str:
-        """The bounds in words, "from 0, below 1"; "" without any."""
+        """The bounds in words, "from 0 and below 1"; "" without any."""
         words = [
             f"{word} {bound:g}"
             for word, bound in (

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from panobench.errors import UnavailableError, UnknownNameError
-from panobench.options import OptionDescription, describe_options
+from panobench.options import OptionDescription, OptionMetadata, describe_options
 from panobench.plugins import Registered, Registry, registry
 from panobench.specs import load_object
 
@@ -100,7 +100,7 @@ def _option_lines(options: list[OptionDescription], width: int) -> Iterator[str]
         yield ""
         yield f"Options: {stage}" if stage else "Options"
         for o, default in members:
-            about = [o.help, "" if o.type in _PLAIN_TYPES else o.type, o.bounds]
+            about = [o.help, "" if o.type in _PLAIN_TYPES else o.type, "" if o.bounds == _USUAL_BOUNDS else o.bounds]
             text = f"  {o.name:{name_width}}  {default:{default_width}}  {'; '.join(a for a in about if a)}".rstrip()
             if width - len(indent) < 30:  # too narrow for columns: the terminal wraps
                 yield text
@@ -127,6 +127,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 #: A default shows these types already.
 _PLAIN_TYPES = ("a whole number", "a number", "true or false", "text")
+_USUAL_BOUNDS = OptionMetadata("").bounds()
 
 
 def _shown(value: Any) -> str:

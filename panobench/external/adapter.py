@@ -26,6 +26,7 @@ from panobench.external.trajectory import TrajectoryFormat, read_answer
 from panobench.external.vocabulary import named_vocabulary
 from panobench.external.watch import guarded_folders, listing, strays
 from panobench.methods.base import BatchMethod, MethodContext
+from panobench.options import Options, option
 from panobench.types import Estimate, RunStatus, Trajectory
 
 #: Of the program's log that go into the run's own: the work folder is removed afterwards.
@@ -34,21 +35,16 @@ _REFUSED = ("permission denied", "read-only file system", "errno 13", "eacces")
 
 
 @dataclass(frozen=True)
-class ExternalConfig:
-    """Options every adapter has.
+class ExternalConfig(Options):
+    """How the program is run (every adapter has these)."""
 
-    command:   the program; "" takes the adapter's environment variable, else its usual name on PATH.
-    run_in:    local, venv:FOLDER, conda:NAME, docker:IMAGE, apptainer:IMAGE ("": the variable, else local).
-    timeout_s: the program is ended after this many seconds.
-    extra:     further arguments, split as a shell would; there is no shell.
-    keep_env:  names of further environment variables the program may see.
-    """
-
-    command: str = ""
-    run_in: str = ""
-    timeout_s: float = 3600.0
-    extra: str = ""
-    keep_env: tuple[str, ...] = ()
+    command: str = option("", "the program; empty: the adapter's environment variable, else its usual name on PATH")
+    run_in: str = option(
+        "", "local, venv:FOLDER, conda:NAME, docker:IMAGE or apptainer:IMAGE; empty: the variable, else local"
+    )
+    timeout_s: float = option(3600.0, "the program is ended after this time", unit="s", above=0)
+    extra: str = option("", "further arguments, split as a shell would; there is no shell")
+    keep_env: tuple[str, ...] = option((), "names of further environment variables the program may see")
 
 
 @dataclass(frozen=True)
