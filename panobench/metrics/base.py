@@ -15,7 +15,7 @@ from panobench.datasets.base import FrameSequence
 from panobench.types import Estimate
 
 #: Version of the evaluation protocol (docs/protocol.md); in every run.json.
-PROTOCOL_VERSION = "1.2"
+PROTOCOL_VERSION = "1.3"
 #: A run that tracked a smaller share of its frames is lost.
 MIN_TRACKED = 0.9
 #: A run with a larger ATE is lost too: the largest error the paper's tables print is 2.66 m, beyond they print "/".
