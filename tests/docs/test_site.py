@@ -88,6 +88,37 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+#: Pages that are read in the repository, not in the site.
+OUTSIDE = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "reports").rglob("*.md")),
+    *sorted((ROOT / "plugins").glob("*/README.md")),
+]
+
+
+@pytest.mark.parametrize("page", OUTSIDE, ids=lambda p: str(p.relative_to(ROOT)))
+def test_links_outside_of_the_site_lead_somewhere(page: Path) -> None:
+    for target in links(page):
+        assert (page.parent / target.partition("#")[0]).exists(), target
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OUTSIDE], ids=lambda p: str(p.relative_to(ROOT)))
+def test_tables_and_suites_that_pages_name_are_there(page: Path) -> None:
+    named = re.findall(r"\breports/[\w./-]+\.(?:md|yaml|svg|jsonl)\b", page.read_text(encoding="utf-8"))
+    assert [name for name in named if not (ROOT / name).is_file() and "paper-" not in name] == []
+
+
+def test_the_example_report_is_the_only_rendered_page_and_small() -> None:
+    """Rendered pages weigh megabytes and change whole: `reports/README.md` says how to make them."""
+    done = subprocess.run(["git", "ls-files", "*.html"], cwd=ROOT, capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip("not a git checkout")
+    templates = ("panobench/report/templates/", "panobench/datasets/")
+    assert [n for n in done.stdout.split() if not n.startswith(templates)] == ["docs/example-report.html"]
+    assert (DOCS / "example-report.html").stat().st_size <= 2e6
+
+
 @pytest.mark.slow
 def test_the_video_tutorial_works_from_the_first_command_to_the_last(walk: Path) -> None:
     environment = make_environment(walk / "venv")
@@ -99,8 +130,6 @@ def test_the_video_tutorial_works_from_the_first_command_to_the_last(walk: Path)
     assert "2 methods on walk" in (walk / "walk-report.html").read_text(encoding="utf-8")
 
 
-#: Pages outside of the site that name commands as well.
-OUTSIDE = [ROOT / "README.md", ROOT / "reports" / "README.md", *sorted((ROOT / "plugins").glob("*/README.md"))]
 #: Options whose value is a name that the registry knows, or, in capitals, the reader's own.
 NAMED = {"--method": "MethodSpec", "--dataset": "DatasetSpec", "--camera": "CameraSpec", "--depth": "DepthSpec"}
 
