@@ -107,7 +107,7 @@ def measure(case: str, n: int, width: int, repeats: int) -> Row:
     weight = np.random.default_rng(1).normal(size=(3, camera.height, camera.width)).astype(np.float32)
     size = f"{camera.width}x{camera.height}"
     forward = timed_ms(lambda: renderer.forward(gaussians, POSE), repeats)
-    backward = timed_ms(lambda: renderer.backward(weight, planar=True), repeats)
+    backward = timed_ms(lambda: out.backward(weight, planar=True), repeats)
     return Row(case, size, n, len(out.order), *forward, *backward)
 
 

@@ -21,7 +21,7 @@ from panobench.splat.block import BLOCK, PARAMETERS, P, channels, load_parameter
 from panobench.splat.chain import CHAIN_CHANNELS, G, gradient_block, load_touched
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.kernel_options import INLINE, JIT, PARALLEL
-from panobench.splat.render import Renderer
+from panobench.splat.render import Render
 
 #: Steps after which the bias correction of either moment is taken to be 1.
 _CORRECTED = 4096
@@ -263,24 +263,24 @@ class GaussianAdam:
         """Update in place the Gaussians with a non-zero gradient row (N, 14). ``grads`` is used up."""
         _adam(grads, *self._arguments(gaussians, rates, isotropy, scale_bounds), get_num_threads())
 
-    def step_back(
+    def backward_step(
         self,
-        renderer: Renderer,
+        render: Render,
         d_planes: F32,
         rates: LearningRates,
         isotropy: float = 0.0,
         scale_bounds: tuple[float, float] = (1e-5, 1e3),
     ) -> NDArray[np.float64]:
-        """Backward pass and step in one, for the map the renderer drew last: dL/d(planes) (3, H, W) -> dL/dtau (6,).
+        """Backward pass and step in one, of the map ``render`` shows: dL/d(planes) (3, H, W) -> dL/dtau (6,).
 
-        As ``renderer.backward`` and ``step``, to rounding; which Gaussians are touched is what the pass says.
+        As ``render.backward`` and ``step``, to rounding; which Gaussians are touched is what the pass says.
         """
-        back = renderer.moments(d_planes)
-        pose = np.zeros((len(back.moments), 6))
+        moments = render.moments(d_planes)
+        pose = np.zeros((len(moments.sums), 6))
         _adam_from_moments(
-            back.moments, back.R_cw, back.t_cw, back.view.projection, back.view.intrinsics,
-            back.view.pixel_angle, renderer.low_pass, pose,
-            *self._arguments(back.gaussians, rates, isotropy, scale_bounds),
+            moments.sums, moments.R_cw, moments.t_cw, moments.view.projection, moments.view.intrinsics,
+            moments.view.pixel_angle, moments.low_pass, pose,
+            *self._arguments(moments.gaussians, rates, isotropy, scale_bounds),
         )  # fmt: skip
         return pose.sum(axis=0)
 

@@ -1,12 +1,15 @@
-"""The renderer: one camera, its buffers, forward and backward. The only door to the kernels.
+"""The renderer of one camera, and the renders it makes, which differentiate themselves.
 
-A GPU backend replaces ``project``, ``bin_tiles``, ``blend_forward``, ``blend_backward`` and
-``parameter_gradients`` behind the same class.
+    render = Renderer(camera).forward(gaussians, T_wc)
+    gradients = render.backward(d_colour)
+
+This is the only door to the kernels. A GPU backend replaces ``project``, ``bin_tiles``, ``blend_forward``,
+``blend_backward`` and ``parameter_gradients`` behind the same two classes.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import get_num_threads
@@ -23,33 +26,6 @@ from panobench.splat.view import CONIC_ERP, Projection, View, make_view
 #: Columns of the moments that belong to the colours.
 _COLOURS = slice(8, 11)
 _NO_2D = np.zeros((0, 0), np.float32)
-
-
-@dataclass
-class RenderOutput:
-    """planes (3, H, W) composited colour; depth (H, W) = sum of w dist; opacity (H, W) = sum of w.
-
-    touched (N,) int32: pixels each Gaussian reaches while over half of the light still passes (if asked for).
-    order (M,) int32: the Gaussians drawn, nearest first. weights (N,) float32: sum of w over the pixels, that is how
-    many of them each Gaussian makes up (if asked for).
-    """
-
-    planes: F32
-    depth: F32
-    opacity: F32
-    touched: NDArray[np.int32] | None
-    order: NDArray[np.int32]
-    weights: F32 | None = None
-
-    @property
-    def colour(self) -> F32:
-        """(H, W, 3) view."""
-        return self.planes.transpose(1, 2, 0)
-
-    def expected_depth(self, opacity_min: float = 0.5) -> F32:
-        """Radial depth (H, W) = depth / opacity, NaN where the opacity is below ``opacity_min``."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.opacity >= opacity_min, self.depth / self.opacity, np.nan).astype(np.float32)
 
 
 @dataclass
@@ -83,21 +59,30 @@ class Gradients:
         return self.packed[:, 11:14]
 
 
-@dataclass
-class Backward:
-    """What the chain rule needs: the Gaussians, their camera, and moments (threads, N, MOMENTS)."""
+@dataclass(frozen=True)
+class _Settings:
+    """What all renders of one renderer share; see ``Renderer``.
 
-    gaussians: GaussianMap
-    R_cw: NDArray[np.float64]
-    t_cw: NDArray[np.float64]
+    wrap: pixels after which a panorama's columns repeat for first-order footprints; 0 where nothing repeats.
+    """
+
     view: View
-    moments: F32
+    low_pass: float
+    near: float
+    stop: float
+    threads: int
+    wrap: float
 
 
 @dataclass
-class _Scene:
-    """What ``backward`` needs of the last forward pass."""
+class _Tape:
+    """What the backward pass needs of its forward pass. Arrays are in order of depth, as ``Render.order``.
 
+    packed (M, PACK), starts (tiles + 1,), entries (E,), spans (E, 2), done (tiles,): see ``project``, ``bin_tiles`` and
+    ``blend_forward``. sloped: the depth has no gradient.
+    """
+
+    settings: _Settings
     gaussians: GaussianMap
     R_cw: NDArray[np.float64]
     t_cw: NDArray[np.float64]
@@ -106,13 +91,105 @@ class _Scene:
     entries: NDArray[np.int32]
     spans: NDArray[np.uint8]
     done: NDArray[np.int32]
-    tiles: NDArray[np.int32]
-    out: RenderOutput
     sloped: bool
 
 
+@dataclass
+class Moments:
+    """A loss's gradient as far as the image goes: sums per Gaussian, and what the chain rule needs beside them.
+
+    sums (threads, N, MOMENTS): see ``blend_backward``; R_cw (3, 3), t_cw (3,): world to camera; low_pass: pixels^2.
+    """
+
+    sums: F32
+    gaussians: GaussianMap
+    R_cw: NDArray[np.float64]
+    t_cw: NDArray[np.float64]
+    view: View
+    low_pass: float
+
+
+@dataclass
+class Render:
+    """What a camera sees of a map.
+
+    planes (3, H, W) composited colour; depth (H, W) = sum of w dist; opacity (H, W) = sum of w, w being the blending
+    weight of a Gaussian in a pixel and dist its distance (radial depth).
+    order (M,) int32: the Gaussians drawn, nearest first. pixel_angle: radians that one pixel spans.
+    touched (N,) int32: pixels each Gaussian reaches while over half of the light still passes (if asked for).
+    weights (N,) float32: sum of w over the pixels, that is how many of them each Gaussian makes up (if asked for).
+
+    A render keeps its map and some 100 bytes per Gaussian drawn for its backward pass; ``detach`` gives them up.
+    """
+
+    planes: F32
+    depth: F32
+    opacity: F32
+    touched: NDArray[np.int32] | None
+    order: NDArray[np.int32]
+    weights: F32 | None
+    pixel_angle: float
+    _tape: _Tape | None = field(repr=False)
+
+    @property
+    def colour(self) -> F32:
+        """(H, W, 3) view."""
+        return self.planes.transpose(1, 2, 0)
+
+    def expected_depth(self, opacity_min: float = 0.5) -> F32:
+        """Radial depth (H, W) = depth / opacity, NaN where the opacity is below ``opacity_min``."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.opacity >= opacity_min, self.depth / self.opacity, np.nan).astype(np.float32)
+
+    def detach(self) -> Render:
+        """The same images without what the backward pass needs: for a render that is kept."""
+        return replace(self, _tape=None)
+
+    def backward(
+        self, d_colour: F32, d_depth: F32 | None = None, d_opacity: F32 | None = None, *, planar: bool = False
+    ) -> Gradients:
+        """Gradients for dL/d(output): d_colour (H, W, 3), or (3, H, W) if ``planar``; d_depth, d_opacity (H, W).
+
+        The map must be as it was drawn. Raises ValueError for d_depth on sloped depth, RuntimeError once detached.
+        """
+        moments = self.moments(d_colour if planar else np.moveaxis(d_colour, -1, 0), d_depth, d_opacity)
+        g, view = moments.gaussians, moments.view
+        packed = np.zeros((len(g), PARAMETERS), np.float32)
+        pose = np.zeros((len(moments.sums), 6))
+        chain.parameter_gradients(
+            moments.sums, g.means, g.log_scales, g.quats, g.opacity_logits, g.colours, moments.R_cw, moments.t_cw,
+            view.projection, view.intrinsics, view.pixel_angle, moments.low_pass, packed, pose,
+        )  # fmt: skip
+        return Gradients(packed, pose.sum(axis=0))
+
+    def weighted_sums(self, planes: F32) -> F32:
+        """(N, 3): for each Gaussian the sums of ``planes`` (3, H, W) over the pixels, times its blending weight there.
+
+        Colours blend linearly, so these are the gradients by the colours for dL/d(planes) = ``planes``.
+        """
+        return np.asarray(self.moments(planes).sums[:, :, _COLOURS].sum(axis=0))
+
+    def moments(self, d_planes: F32, d_depth: F32 | None = None, d_opacity: F32 | None = None) -> Moments:
+        """The pixels' half of ``backward``, which raises the same: dL/d(planes) (3, H, W) -> sums per Gaussian."""
+        tape = self._tape
+        if tape is None:
+            raise RuntimeError("this render was detached: it has no backward pass any more")
+        if d_depth is not None and tape.sloped:
+            raise ValueError("sloped depth has no gradient: render without sloped=True to differentiate depth")
+        s = tape.settings
+        dc = np.ascontiguousarray(d_planes, dtype=np.float32)
+        dd = _NO_2D if d_depth is None else np.ascontiguousarray(d_depth, dtype=np.float32)
+        do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
+        sums = blend.new_moments(s.threads, len(tape.gaussians))
+        blend.blend_backward(
+            tape.packed, self.order, tape.starts, tape.entries, tape.spans, s.view.rays, s.wrap, s.view.tiles,
+            s.threads, self.planes, self.depth, self.opacity, tape.done, dc, dd, do, sums,
+        )  # fmt: skip
+        return Moments(sums, tape.gaussians, tape.R_cw, tape.t_cw, s.view, s.low_pass)
+
+
 class Renderer:
-    """Renders Gaussians into one camera.
+    """Renders Gaussians into one camera. It keeps that camera's tables and nothing of what it rendered.
 
     projection: "sphere" (exact on the tangent plane, every camera), "erp" or "pinhole" (first order).
     low_pass: variance added to every footprint, in pixels^2. near: Gaussians closer than this are not drawn. stop:
@@ -129,12 +206,14 @@ class Renderer:
         stop: float = 1e-4,
         threads: int | None = None,
     ) -> None:
+        view = make_view(camera, projection)
+        wrap = float(camera.width) if view.projection == CONIC_ERP else 0.0
         self.camera = camera
-        self.view = make_view(camera, projection)
-        self.low_pass, self.near, self.stop = low_pass, near, stop
-        self.threads = threads or get_num_threads()
-        self._wrap = float(camera.width) if self.view.projection == CONIC_ERP else 0.0
-        self._scene: _Scene | None = None
+        self._settings = _Settings(view, low_pass, near, stop, threads or get_num_threads(), wrap)
+
+    @property
+    def view(self) -> View:
+        return self._settings.view
 
     def forward(
         self,
@@ -145,18 +224,16 @@ class Renderer:
         sloped: bool = False,
         weigh: bool = False,
         hidden: NDArray[np.bool_] | None = None,
-        tiles: NDArray[np.int32] | None = None,
-    ) -> RenderOutput:
-        """Render from camera-to-world pose ``T_wc``, in all tiles with valid pixels or in these ``tiles`` (others stay
-        black).
+    ) -> Render:
+        """Render from camera-to-world pose ``T_wc`` (4, 4).
 
-        ``hidden`` (N,): Gaussians that are left out, because they are known to lie behind others.
-
-        ``sloped``: depth follows each Gaussian's own surface across its footprint instead of being its centre's
+        count_touched, weigh: fill ``touched`` and ``weights``.
+        hidden (N,): Gaussians that are left out, because they are known to lie behind others.
+        sloped: depth follows each Gaussian's own surface across its footprint instead of being its centre's
         everywhere, which is biased to the near side where footprints overlap on an oblique wall (the mean of
         distance given direction; compare Zhang et al., "RaDe-GS", 2024). Such depth has no backward pass.
         """
-        v = self.view
+        s, v = self._settings, self.view
         T_cw = invert_pose(T_wc)
         R_cw, t_cw = np.ascontiguousarray(T_cw[:3, :3]), np.ascontiguousarray(T_cw[:3, 3])
         n = len(gaussians)
@@ -164,27 +241,26 @@ class Renderer:
         rows, cols = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
         project.project(
             gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.colours,
-            R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, self.low_pass, self.near,
-            sloped, packed, rows, cols, key, self.threads,
+            R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, s.low_pass, s.near,
+            sloped, packed, rows, cols, key, s.threads,
         )  # fmt: skip
         if hidden is not None:
             key[hidden] = -1.0
         order = binning.radix_order(key)
         packed, rows, cols = binning.gather(order, packed, rows, cols)
-        tiles = v.tiles if tiles is None else tiles
         drawn = np.zeros(v.tiles_x * v.tiles_y, np.bool_)
-        drawn[tiles] = True
+        drawn[v.tiles] = True
         starts, entries, spans = binning.bin_tiles(
-            packed, rows, cols, v.bound, v.cones, v.column_axes, v.column_half, v.intrinsics, drawn, self.threads
+            packed, rows, cols, v.bound, v.cones, v.column_axes, v.column_half, v.intrinsics, drawn, s.threads
         )
-        new = np.empty if len(tiles) == v.tiles_x * v.tiles_y else np.zeros
+        new = np.empty if len(v.tiles) == v.tiles_x * v.tiles_y else np.zeros
         planes = new((3, v.height, v.width), np.float32)
         depth, opacity = new((v.height, v.width), np.float32), new((v.height, v.width), np.float32)
         done = np.zeros(v.tiles_x * v.tiles_y, np.int32)
-        counts = np.zeros((self.threads, len(order) if count_touched else 0), np.int32)
-        sums = np.zeros((self.threads, len(order) if weigh else 0), np.float32)
+        counts = np.zeros((s.threads, len(order) if count_touched else 0), np.int32)
+        sums = np.zeros((s.threads, len(order) if weigh else 0), np.float32)
         blend.blend_forward(
-            packed, starts, entries, spans, v.rays, self._wrap, self.stop, tiles, self.threads,
+            packed, starts, entries, spans, v.rays, s.wrap, s.stop, v.tiles, s.threads,
             planes, depth, opacity, done, counts, sums,
         )  # fmt: skip
         touched, weights = None, None
@@ -194,47 +270,5 @@ class Renderer:
         if weigh:
             weights = np.zeros(n, np.float32)
             weights[order] = sums.sum(axis=0)
-        out = RenderOutput(planes, depth, opacity, touched, order, weights)
-        self._scene = _Scene(gaussians, R_cw, t_cw, packed, starts, entries, spans, done, tiles, out, sloped)
-        return out
-
-    def backward(
-        self, d_colour: F32, d_depth: F32 | None = None, d_opacity: F32 | None = None, *, planar: bool = False
-    ) -> Gradients:
-        """Gradients of the last ``forward`` for dL/d(output). d_colour (H, W, 3), or (3, H, W) if ``planar``."""
-        s, v = self._scene, self.view
-        if s is None:
-            raise RuntimeError("backward() needs a forward() first")
-        if d_depth is not None and s.sloped:
-            raise ValueError("sloped depth has no gradient: render without sloped=True to differentiate depth")
-        dc = np.ascontiguousarray(d_colour if planar else np.moveaxis(d_colour, -1, 0), dtype=np.float32)
-        back = self.moments(dc, d_depth, d_opacity)
-        g = back.gaussians
-        packed = np.zeros((len(g), PARAMETERS), np.float32)
-        pose = np.zeros((self.threads, 6))
-        chain.parameter_gradients(
-            back.moments, g.means, g.log_scales, g.quats, g.opacity_logits, g.colours,
-            back.R_cw, back.t_cw, v.projection, v.intrinsics, v.pixel_angle, self.low_pass, packed, pose,
-        )  # fmt: skip
-        return Gradients(packed, pose.sum(axis=0))
-
-    def weighted_sums(self, planes: F32) -> F32:
-        """(N, 3): for each Gaussian of the last ``forward`` the sums of ``planes`` (3, H, W) over the pixels it
-        colours, times what it contributes there (colours blend linearly: these are gradients by the colours).
-        """
-        return np.asarray(self.moments(planes).moments[:, :, _COLOURS].sum(axis=0))
-
-    def moments(self, d_planes: F32, d_depth: F32 | None = None, d_opacity: F32 | None = None) -> Backward:
-        """The pixels' half of the backward pass: dL/d(planes) (3, H, W) -> moment sums per Gaussian."""
-        s, v = self._scene, self.view
-        if s is None:
-            raise RuntimeError("a backward pass needs a forward() first")
-        dc = np.ascontiguousarray(d_planes, dtype=np.float32)
-        dd = _NO_2D if d_depth is None else np.ascontiguousarray(d_depth, dtype=np.float32)
-        do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
-        moments = blend.new_moments(self.threads, len(s.gaussians))
-        blend.blend_backward(
-            s.packed, s.out.order, s.starts, s.entries, s.spans, v.rays, self._wrap, s.tiles, self.threads,
-            s.out.planes, s.out.depth, s.out.opacity, s.done, dc, dd, do, moments,
-        )  # fmt: skip
-        return Backward(s.gaussians, s.R_cw, s.t_cw, v, moments)
+        tape = _Tape(s, gaussians, R_cw, t_cw, packed, starts, entries, spans, done, sloped)
+        return Render(planes, depth, opacity, touched, order, weights, v.pixel_angle, tape)

@@ -87,16 +87,15 @@ def test_halves_have_the_moments_of_the_whole_and_lie_in_its_plane() -> None:
 
 
 def test_only_what_is_large_and_wrong_is_split() -> None:
-    renderer = Renderer(CAMERA, "sphere")
     g = disc().concat(disc(0.02))
     g.means[1] = [2.0, 0.0, 0.0]
-    renderer.forward(g, np.eye(4))
+    render = Renderer(CAMERA, "sphere").forward(g, np.eye(4))
     right = np.full((64, 128), 0.01, np.float32)
     wrong = np.full((64, 128), 0.3, np.float32)
     rule = SplitRule(error=0.06, size_px=1.0, share=1.0)
-    assert len(too_coarse(renderer, g, np.zeros(3), right, rule)) == 0
-    np.testing.assert_array_equal(too_coarse(renderer, g, np.zeros(3), wrong, rule), [0])
-    assert len(too_coarse(renderer, g, np.zeros(3), wrong, SplitRule(share=0.0))) == 0
+    assert len(too_coarse(render, g, np.zeros(3), right, rule)) == 0
+    np.testing.assert_array_equal(too_coarse(render, g, np.zeros(3), wrong, rule), [0])
+    assert len(too_coarse(render, g, np.zeros(3), wrong, SplitRule(share=0.0))) == 0
 
 
 def test_a_mapper_that_splits_keeps_its_books() -> None:
@@ -111,7 +110,7 @@ def test_a_mapper_that_splits_keeps_its_books() -> None:
     n, seen = len(mapper.map), int(np.count_nonzero(view.touched))
     near = View(1, view.image, make_pose(np.eye(3), [0.7, 0.0, 0.0]))
     render = renderer.forward(mapper.map, near.T_wc)
-    split = mapper.split(near, render, renderer)
+    split = mapper.split(near, render)
     assert split > 0
     assert len(mapper.map) == n + split == len(mapper.adam.steps) == len(mapper.born) == len(view.touched)
     assert np.count_nonzero(view.touched) >= seen

@@ -124,7 +124,7 @@ def test_carving_removes_a_veil_and_leaves_the_rest() -> None:
     mapper.append(veil, np.zeros(2, np.int32))
     render = mapper.renderer.forward(mapper.map, view.T_wc)
     covered = render.depth < 0.8 * depth
-    dropped = mapper.carve(view, covered, depth)
+    dropped = mapper.carve(view, render, covered, depth)
     assert 2 <= dropped <= 2 + 0.02 * behind
     assert not (np.abs(mapper.map.means[:, None] - veil.means[None]).max(axis=-1) < 1e-6).any()
 

@@ -22,11 +22,9 @@ def test_backward_and_step_in_one_is_backward_then_step(camera: str, projection:
     apart, fused = start.copy(), start.copy()
     a, b = GaussianAdam(len(start), 0.9, 0.99), GaussianAdam(len(start), 0.9, 0.99)
     for _ in range(3):
-        renderer.forward(apart, POSE)
-        gradients = renderer.backward(weights, planar=True)
+        gradients = renderer.forward(apart, POSE).backward(weights, planar=True)
         a.step(apart, gradients.packed, RATES, isotropy)
-        renderer.forward(fused, POSE)
-        pose = b.step_back(renderer, weights, RATES, isotropy)
+        pose = b.backward_step(renderer.forward(fused, POSE), weights, RATES, isotropy)
         np.testing.assert_allclose(pose, gradients.pose, rtol=1e-4, atol=1e-4 * np.abs(gradients.pose).max())
     np.testing.assert_array_equal(a.steps, b.steps)
     assert a.steps.max() == 3

@@ -82,19 +82,6 @@ def test_empty_map_is_black() -> None:
         assert out.touched.shape == (0,)
 
 
-def test_tiles_restrict_the_image() -> None:
-    g = random_scene(80, 5, "erp")
-    renderer = Renderer(CAMERAS["erp"], stop=0.0)
-    full = renderer.forward(g, POSE).colour.copy()
-    across = -(-72 // TILE_W)
-    some = renderer.forward(g, POSE, tiles=np.array([2, across + 3], np.int32)).colour
-    tile = np.zeros((36, 72), bool)
-    tile[:TILE_H, 2 * TILE_W : 3 * TILE_W] = tile[TILE_H : 2 * TILE_H, 3 * TILE_W : 4 * TILE_W] = True
-    assert full[tile].any()
-    np.testing.assert_array_equal(some[tile], full[tile])
-    assert not some[~tile].any()
-
-
 def test_only_tiles_within_the_field_of_view_are_drawn() -> None:
     """And those as they are in the full panorama."""
     g = random_scene(80, 5, "erp")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import pytest
 import torch
 from splat_scenes import CAMERAS, CASES, NAMES, POSE, Reference, gaussian_map, random_scene, reference, render_oracle
 
 from panobench.cameras.base import Camera
-from panobench.cameras.erp import ErpCamera
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.render import Gradients, Renderer
 from panobench.splat.view import Projection
@@ -33,9 +34,8 @@ def weigh(out: tuple[torch.Tensor, ...], weights: tuple[np.ndarray, ...]) -> tor
 def kernel_gradients(
     g: GaussianMap, camera: Camera, projection: Projection, weights: tuple[np.ndarray, ...], T_wc: np.ndarray = POSE
 ) -> Gradients:
-    renderer = Renderer(camera, projection, stop=0.0)
-    renderer.forward(g, T_wc)
-    return renderer.backward(*(w.astype(np.float32) for w in weights))
+    render = Renderer(camera, projection, stop=0.0).forward(g, T_wc)
+    return render.backward(*(w.astype(np.float32) for w in weights))
 
 
 def check(
@@ -143,11 +143,10 @@ def test_no_gradient_through_a_saturated_alpha() -> None:
     """sigmoid(30) saturates near the centre: there only what is behind and the colour still learn."""
     camera = CAMERAS["erp"]
     g = gaussian_map([[0, 0, 2.0], [0.02, 0.01, 3.0]], scale=[[5.0] * 3, [0.1] * 3], logit=[30.0, 0.0])
-    renderer = Renderer(camera, stop=0.0)
-    renderer.forward(g, np.eye(4))
+    render = Renderer(camera, stop=0.0).forward(g, np.eye(4))
     d_colour = np.zeros((36, 72, 3), np.float32)
     d_colour[18, 36] = 1.0
-    got = renderer.backward(d_colour)
+    got = render.backward(d_colour)
     for a in (got.means, got.log_scales, got.quats, got.opacity_logits):
         assert not a[0].any()
     np.testing.assert_allclose(got.colours[0], 0.99, rtol=1e-5)
@@ -158,11 +157,10 @@ def test_no_gradient_through_a_saturated_alpha() -> None:
 def test_gradients_that_are_not_given_count_as_zero() -> None:
     camera = CAMERAS["erp"]
     g = random_scene(40, 12, "erp")
-    renderer = Renderer(camera)
-    out = renderer.forward(g, POSE)
+    out = Renderer(camera).forward(g, POSE)
     d = np.random.default_rng(0).normal(size=out.colour.shape).astype(np.float32)
     zero = np.zeros(out.depth.shape, np.float32)
-    alone, padded = renderer.backward(d), renderer.backward(d, zero, zero)
+    alone, padded = out.backward(d), out.backward(d, zero, zero)
     np.testing.assert_array_equal(alone.packed, padded.packed)
     np.testing.assert_array_equal(alone.pose, padded.pose)
     assert alone.packed.any()
@@ -171,27 +169,44 @@ def test_gradients_that_are_not_given_count_as_zero() -> None:
 def test_gradients_add_up() -> None:
     """Backward is linear in dL/d(output)."""
     camera = CAMERAS["pinhole"]
-    renderer = Renderer(camera)
-    out = renderer.forward(random_scene(40, 13, "pinhole"), POSE)
+    out = Renderer(camera).forward(random_scene(40, 13, "pinhole"), POSE)
     rng = np.random.default_rng(0)
     dc, dd, do = (rng.normal(size=a.shape).astype(np.float32) for a in (out.colour, out.depth, out.opacity))
-    whole = renderer.backward(dc, dd, do)
-    parts = [renderer.backward(dc), renderer.backward(0 * dc, dd), renderer.backward(0 * dc, None, do)]
+    whole = out.backward(dc, dd, do)
+    parts = [out.backward(dc), out.backward(0 * dc, dd), out.backward(0 * dc, None, do)]
     total = sum(p.packed for p in parts)
     np.testing.assert_allclose(whole.packed, total, atol=2e-5 * np.abs(total).max())
     np.testing.assert_allclose(whole.pose, sum(p.pose for p in parts), atol=2e-5 * np.abs(whole.pose).max())
 
 
-def test_backward_needs_a_forward() -> None:
-    with pytest.raises(RuntimeError, match="forward"):
-        Renderer(ErpCamera(32, 16)).backward(np.zeros((16, 32, 3), np.float32))
+def test_a_render_differentiates_itself_whatever_was_rendered_since() -> None:
+    renderer = Renderer(CAMERAS["erp"])
+    d = np.random.default_rng(0).normal(size=(36, 72, 3)).astype(np.float32)
+    render = renderer.forward(random_scene(40, 12, "erp"), POSE)
+    want = render.backward(d)
+    renderer.forward(random_scene(30, 13, "erp"), np.eye(4))
+    got = render.backward(d)
+    np.testing.assert_array_equal(got.packed, want.packed)
+    np.testing.assert_array_equal(got.pose, want.pose)
+    assert got.packed.shape == (40, 14)
+
+
+def test_a_detached_render_keeps_its_images_and_lets_go_of_the_map() -> None:
+    g = random_scene(40, 12, "erp")
+    render = Renderer(CAMERAS["erp"]).forward(g, POSE)
+    held = weakref.ref(g)
+    kept = render.detach()
+    np.testing.assert_array_equal(kept.planes, render.planes)
+    del g, render
+    assert held() is None
+    with pytest.raises(RuntimeError, match="detached"):
+        kept.backward(np.zeros((36, 72, 3), np.float32))
 
 
 def test_weighted_sums_are_the_gradients_by_the_colours() -> None:
     g = random_scene(40, 3, "erp")
-    renderer = Renderer(CAMERAS["erp"])
-    renderer.forward(g, POSE)
+    render = Renderer(CAMERAS["erp"]).forward(g, POSE)
     planes = np.random.default_rng(0).normal(size=(3, 36, 72)).astype(np.float32)
     np.testing.assert_allclose(
-        renderer.weighted_sums(planes), renderer.backward(planes, planar=True).colours, rtol=1e-5, atol=1e-6
+        render.weighted_sums(planes), render.backward(planes, planar=True).colours, rtol=1e-5, atol=1e-6
     )

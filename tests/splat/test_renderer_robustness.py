@@ -29,7 +29,7 @@ def check_finite(g: GaussianMap, camera: str, projection: Projection) -> None:
     assert out.touched.min(initial=0) >= 0
     assert out.touched.max(initial=0) <= out.opacity.size
     ones = np.ones_like(out.depth)
-    grads = renderer.backward(np.ones_like(out.colour), ones, -ones)
+    grads = out.backward(np.ones_like(out.colour), ones, -ones)
     assert np.isfinite(grads.packed).all(), np.argwhere(~np.isfinite(grads.packed))
     assert np.isfinite(grads.pose).all()
 
@@ -81,7 +81,7 @@ def test_what_cannot_be_seen_is_not_drawn_and_does_not_learn(camera: str, projec
     assert not out.opacity.any()
     assert out.touched is not None
     assert not out.touched.any()
-    grads = renderer.backward(np.ones_like(out.colour))
+    grads = out.backward(np.ones_like(out.colour))
     assert not grads.packed.any()
     assert not grads.pose.any()
 
@@ -93,9 +93,9 @@ def test_order_in_memory_does_not_matter(camera: str, projection: Projection) ->
     renderer = Renderer(CAMERAS[camera], projection)
     weight = np.random.default_rng(1).normal(size=(CAMERAS[camera].height, CAMERAS[camera].width, 3)).astype(np.float32)
     a = renderer.forward(g, POSE, count_touched=True)
-    ga = renderer.backward(weight)
+    ga = a.backward(weight)
     b = renderer.forward(g.select(order), POSE, count_touched=True)
-    gb = renderer.backward(weight)
+    gb = b.backward(weight)
     np.testing.assert_array_equal(a.colour, b.colour)
     np.testing.assert_array_equal(a.depth, b.depth)
     assert a.touched is not None
@@ -113,9 +113,9 @@ def test_same_input_same_bits_and_threads_agree() -> None:
     for threads in (2, 2, 1, 3):
         renderer = Renderer(CAMERAS["erp"], threads=threads)
         for _ in range(2):
-            image = renderer.forward(g, POSE).colour.copy()
-            grads = renderer.backward(weight)
-            results.append((image, grads.packed.copy(), grads.pose.copy()))
+            render = renderer.forward(g, POSE)
+            grads = render.backward(weight)
+            results.append((render.colour, grads.packed, grads.pose))
     first = results[0]
     for image, packed, pose in results[1:4]:
         np.testing.assert_array_equal(image, first[0])

@@ -41,8 +41,7 @@ def test_sloped_depth_refuses_to_be_differentiated() -> None:
     gaussians = seed_gaussians(
         CAMERA, image, box_depth(), pixels, np.eye(4), 0.3, flatten=0.15, scale_factor=0.55, opacity=0.9
     )
-    renderer = Renderer(CAMERA)
-    renderer.forward(gaussians, np.eye(4), sloped=True)
+    render = Renderer(CAMERA).forward(gaussians, np.eye(4), sloped=True)
     zero = np.zeros((64, 128, 3), np.float32)
     with pytest.raises(ValueError, match="sloped"):
-        renderer.backward(zero, zero[..., 0])
+        render.backward(zero, zero[..., 0])

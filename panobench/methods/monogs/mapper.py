@@ -19,7 +19,7 @@ from panobench.methods.splatting.densify import fade, grow, logit, prune
 from panobench.methods.splatting.trainer import GaussianTrainer
 from panobench.splat.adam import LearningRates
 from panobench.splat.gaussians import F32, GaussianMap
-from panobench.splat.render import Renderer, RenderOutput
+from panobench.splat.render import Render, Renderer
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Keyframe(View):
     weights: F32 = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
 
-def median_depth(render: RenderOutput, shown: NDArray[np.bool_]) -> tuple[float, float]:
+def median_depth(render: Render, shown: NDArray[np.bool_]) -> tuple[float, float]:
     """Median and standard deviation of the rendered depth where it can be trusted; NaN if nowhere."""
     depth = render.expected_depth(OPAQUE)
     known = depth[shown & np.isfinite(depth) & (depth > 0)]
@@ -86,7 +86,7 @@ class MonogsMapper:
                 fade(self.trainer, 0.01)
         self._look()
 
-    def extend(self, view: Keyframe, render: RenderOutput) -> bool:
+    def extend(self, view: Keyframe, render: Render) -> bool:
         """A further keyframe; False when one left the window for lack of overlap (see ``update_window``)."""
         depth = render.expected_depth(OPAQUE)
         middle, spread = median_depth(render, view.weights > 0)

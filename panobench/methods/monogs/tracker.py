@@ -12,7 +12,7 @@ from panobench.geometry import invert_pose, renormalise, se3_exp
 from panobench.methods.monogs.config import MonogsConfig
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.loss import photometric_loss
-from panobench.splat.render import Renderer, RenderOutput
+from panobench.splat.render import Render, Renderer
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class TrackedFrame:
     offset: float
     loss: float
     iterations: int
-    render: RenderOutput
+    render: Render
 
 
 def bright(config: MonogsConfig, image: NDArray[np.uint8], valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -90,7 +90,7 @@ def track(
         weights: F32 = (mask * out.opacity).astype(np.float32)
         loss, d_planes, d_exposure = photometric_loss(out.planes, image, weights, *camera.exposure)
         count += 1
-        if camera.step(renderer.backward(d_planes, planar=True).pose, d_exposure) < config.converged:
+        if camera.step(out.backward(d_planes, planar=True).pose, d_exposure) < config.converged:
             break
     T = invert_pose(camera.T_cw)
     render = renderer.forward(gaussians, T, count_touched=True)

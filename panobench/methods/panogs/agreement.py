@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.photometric.pyramid import F32, luma_of_planes
-from panobench.splat.render import RenderOutput
+from panobench.splat.render import Render
 
 #: Width on which blocks are compared, and their side in pixels of it.
 WIDTH, BLOCK = 128, 8
@@ -26,7 +26,7 @@ KNOWN, KNOWN_SHARE = 0.5, 0.7
 SEEN_MIN = 0.05
 
 
-def agreement(frame: list[F32], render: RenderOutput, weights: F32) -> float:
+def agreement(frame: list[F32], render: Render, weights: F32) -> float:
     """Share (0..1) of the textured blocks known to the map that agree; 1 where nothing has texture, 0 where hardly
     anything is known.
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.splat.gaussians import F32
-from panobench.splat.render import RenderOutput
+from panobench.splat.render import Render
 
 #: Blocks across the image; a block counts if it is known to the map and neither dark nor saturated.
 _BLOCKS = 32
@@ -46,7 +46,7 @@ class ExposureGuard:
         """The frame for tracking, judged by the last frame's render (at first by the first frame)."""
         return image if self._last is None else self._corrected(image, self._last, BEFORE)
 
-    def after(self, image: NDArray[np.uint8], render: RenderOutput) -> NDArray[np.uint8]:
+    def after(self, image: NDArray[np.uint8], render: Render) -> NDArray[np.uint8]:
         """The frame for mapping, judged by its own render, which the next frame will be judged by."""
         known = self._blocks(render.opacity) > _KNOWN
         self._last = (self._blocks(render.planes.mean(axis=0)), known & (self.weights > 0))

@@ -25,7 +25,7 @@ from panobench.methods.panogs.views import View
 from panobench.methods.posegraph import Similarities, optimise_pose_graph
 from panobench.photometric.pyramid import F32
 from panobench.splat.gaussians import GaussianMap
-from panobench.splat.render import RenderOutput
+from panobench.splat.render import Render
 
 Pose = NDArray[np.float64]
 #: Aligns a frame (pyramid) to a map from a pose; the render of the result is of the final pose.
@@ -132,7 +132,7 @@ class LoopCloser:
         groups = drawn >= WAKE_SHARE * drawn.sum()
         return Loop(int(np.argmax(drawn)), len(mapper.keyframes) - 1, drift, size, groups)
 
-    def _knows(self, render: RenderOutput) -> bool:
+    def _knows(self, render: Render) -> bool:
         weights = self.tracker.weights
         return float(weights[render.opacity > OPACITY_MIN].sum()) >= KNOWN_MIN * float(weights.sum())
 

@@ -18,7 +18,7 @@ from panobench.methods.panogs.views import View
 from panobench.splat.adam import GaussianAdam, LearningRates
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.loss import colour_error, photometric_loss, pixel_weights
-from panobench.splat.render import Renderer, RenderOutput
+from panobench.splat.render import Render, Renderer
 
 #: Of the swept depth: anything nearer is taken to stand in front of the surface.
 _CARVE_BEFORE = 0.85
@@ -64,13 +64,13 @@ class Mapper:
         self._seed(view, depth, *self.pattern.seeds(view.image, None, self.rng))
 
     def insert(
-        self, view: View, render: RenderOutput, swept: F32 | None = None, disproved: NDArray[np.bool_] | None = None
+        self, view: View, render: Render, swept: F32 | None = None, disproved: NDArray[np.bool_] | None = None
     ) -> int:
         """New Gaussians for a keyframe where the map is thin or wrong; returns how many.
 
         Where the opacity is low, depth is ``swept`` (H, W) from the last frames if given, else the rendered depth,
         else that of the nearest pixel that has one (across the seam) plus a small perturbation (DGIS). Without
-        ``depth_guided`` it is the median depth, perturbed as MonoGS does. ``render``: the renderer's last, at the
+        ``depth_guided`` it is the median depth, perturbed as MonoGS does. ``render``: of the map, at the
         view; disproved (H, W): where the swept depth also replaces what the map has.
         """
         wanted = self.thin(render)
@@ -80,7 +80,7 @@ class Mapper:
                 wrong |= disproved & (self.weights > 0)
             wanted |= wrong
             if self.config.carve:
-                self.carve(view, wrong, swept)
+                self.carve(view, render, wrong, swept)
         pixels, spacing = self.pattern.seeds(view.image, wanted, self.rng)
         if len(pixels) == 0:
             return 0
@@ -96,25 +96,23 @@ class Mapper:
         depth = np.where(guessed, depth * (1 + noise * self.rng.standard_normal(depth.shape)), depth)
         return self._seed(view, depth.astype(np.float32), pixels, spacing)
 
-    def carve(self, view: View, wrong: NDArray[np.bool_], swept: F32) -> int:
+    def carve(self, view: View, render: Render, wrong: NDArray[np.bool_], swept: F32) -> int:
         """Drop what stands well in front of the swept surface where the map is wrong; returns how many.
 
         New Gaussians behind such leftovers would never be seen. A large Gaussian may cover an opening from beside it,
-        so what counts is where it is seen, not where its centre lies. Uses the renderer's last render, at ``view``.
+        so what counts is where it is seen, not where its centre lies. ``render``: of the map, at ``view``.
         """
         distance = np.linalg.norm(self.map.means - view.position, axis=1)
         known = wrong & np.isfinite(swept)
         shares = np.stack([known, self.weights > 0, np.where(known, swept, 0)]).astype(np.float32)
-        there, anywhere, deep = self.renderer.weighted_sums(shares).T
+        there, anywhere, deep = render.weighted_sums(shares).T
         behind = deep / np.maximum(there, 1e-6)
         return self.drop((there > _CARVE_SHARE * anywhere) & (there > 1e-3) & (distance < _CARVE_BEFORE * behind))
 
-    def split(
-        self, view: View, render: RenderOutput, renderer: Renderer, known: NDArray[np.bool_] | None = None
-    ) -> int:
+    def split(self, view: View, render: Render, known: NDArray[np.bool_] | None = None) -> int:
         """Halve what is too coarse for ``view``; returns how many.
 
-        render: ``renderer``'s last, there; known (H, W): pixels where the map's surface is believed to be right. All
+        render: of the map, there; known (H, W): pixels where the map's surface is believed to be right. All
         splits together add at most as many Gaussians as a first image gets.
         """
         error = self._error(view, render)
@@ -122,7 +120,7 @@ class Mapper:
         error = np.where((self.weights > 0) & (render.opacity > 0.9), error, 0).astype(np.float32)
         if known is not None:
             error *= known
-        which = too_coarse(renderer, self.map, view.position, error, self.split_rule)[: self.count - self.split_count]
+        which = too_coarse(render, self.map, view.position, error, self.split_rule)[: self.count - self.split_count]
         if len(which) == 0:
             return 0
         self.split_count += len(which)
@@ -137,27 +135,27 @@ class Mapper:
         gone[which] = True
         return self.drop(gone)
 
-    def local_depth(self, render: RenderOutput) -> float:
+    def local_depth(self, render: Render) -> float:
         """Median rendered depth, from every fourth row and column; the first map's where nothing is drawn."""
         depth = render.depth[::4, ::4][(render.opacity[::4, ::4] > 0.5) & (self.weights[::4, ::4] > 0)]
         return float(np.median(depth)) if depth.size else self.median_depth
 
-    def thin(self, render: RenderOutput) -> NDArray[np.bool_]:
+    def thin(self, render: Render) -> NDArray[np.bool_]:
         """(H, W): valid pixels whose rendered opacity is below the insertion threshold."""
         return (render.opacity < self.config.insert_opacity) & (self.weights > 0)
 
-    def wrong(self, view: View, render: RenderOutput) -> NDArray[np.bool_]:
+    def wrong(self, view: View, render: Render) -> NDArray[np.bool_]:
         """(H, W): valid pixels whose colour the map misses by more than ``insert_error``, averaged over 5x5 pixels."""
         import cv2
 
         return (cv2.blur(self._error(view, render), (5, 5)) > self.config.insert_error) & (self.weights > 0)
 
-    def unknown(self, view: View, render: RenderOutput) -> NDArray[np.bool_]:
+    def unknown(self, view: View, render: Render) -> NDArray[np.bool_]:
         """(H, W): where the map is thin or wrong."""
         return self.thin(render) | self.wrong(view, render)
 
     @staticmethod
-    def _error(view: View, render: RenderOutput) -> F32:
+    def _error(view: View, render: Render) -> F32:
         """(H, W): mean absolute difference of render and image over the colours, of 1."""
         return np.asarray(colour_error(render.planes, view.image))
 
@@ -263,13 +261,13 @@ class Mapper:
         )
         isotropy = self.config.isotropy / max(3 * len(out.order), 1)
         z = self.median_depth
-        pose = self.adam.step_back(self.renderer, gradient, rates or self.rates(), isotropy, (1e-4 * z, LARGEST * z))
+        pose = self.adam.backward_step(out, gradient, rates or self.rates(), isotropy, (1e-4 * z, LARGEST * z))
         if refine_pose and self.config.refine_poses and self.keyframes and view is not self.keyframes[0]:
             sizes = (self.config.pose_rate_translation_rel * z, self.config.pose_rate_rotation)
             view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), pose, sizes))
         return loss
 
-    def note_hidden(self, view: View, render: RenderOutput) -> None:
+    def note_hidden(self, view: View, render: Render) -> None:
         """Remember what the ``view`` can do without, if the render of the whole map, there, says so."""
         if render.weights is not None:
             view.occlusion.note(self.serial, render.weights, self.config.hidden_px)

@@ -31,7 +31,7 @@ class Occlusion:
         return np.asarray(unused[np.minimum(serial, len(unused) - 1)])
 
     def note(self, serial: NDArray[np.int32], weights: NDArray[np.float32], least: float) -> None:
-        """Of all Gaussians the pixels each makes up in the view (RenderOutput.weights); below ``least`` it has no use.
+        """Of all Gaussians the pixels each makes up in the view (Render.weights); below ``least`` it has no use.
 
         What is as faint as to make up a hundredth of a pixel still has: its gradient lets it grow into a use.
         """

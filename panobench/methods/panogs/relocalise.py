@@ -22,7 +22,7 @@ from panobench.methods.panogs.views import View
 from panobench.photometric.align import align
 from panobench.photometric.pyramid import F32
 from panobench.splat.gaussians import GaussianMap
-from panobench.splat.render import RenderOutput
+from panobench.splat.render import Render
 
 Pose = NDArray[np.float64]
 
@@ -133,5 +133,5 @@ class Relocaliser:
         render = self._render(gaussians, T)
         return Tracked(T, render, a.cost, iterations, bool(np.isfinite(a.cost)) and a.overlap > 0.5, a)
 
-    def _render(self, gaussians: GaussianMap, T_wc: Pose) -> RenderOutput:
+    def _render(self, gaussians: GaussianMap, T_wc: Pose) -> Render:
         return self.tracker.renderer.forward(gaussians, T_wc, count_touched=True, sloped=True)

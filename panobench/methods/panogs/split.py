@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from panobench.geometry import matrix_from_quat
 from panobench.splat.gaussians import F32, GaussianMap
-from panobench.splat.render import Renderer
+from panobench.splat.render import Render
 
 #: Halves stand so many standard deviations of the whole from its centre, and are so much shorter. (Two normal
 #: distributions of 0.7 sigma at +-0.7 sigma have the variance of the whole.)
@@ -36,16 +36,16 @@ class SplitRule:
 
 
 def too_coarse(
-    renderer: Renderer, gaussians: GaussianMap, position: NDArray[np.float64], error: F32, rule: SplitRule
+    render: Render, gaussians: GaussianMap, position: NDArray[np.float64], error: F32, rule: SplitRule
 ) -> NDArray[np.intp]:
-    """Indices to split by the renderer's last render, of these Gaussians from ``position`` (3,).
+    """Indices to split by a ``render`` of these Gaussians from ``position`` (3,).
 
     error (H, W): absolute colour error, 0 where the image has nothing to say.
     """
     seen = np.stack([error, (error > 0).astype(np.float32), np.zeros_like(error)])
-    wrong, weight, _ = renderer.weighted_sums(seen).T
+    wrong, weight, _ = render.weighted_sums(seen).T
     distance = np.linalg.norm(gaussians.means - position.astype(np.float32), axis=1)
-    size = np.exp(gaussians.log_scales.max(axis=1)) / np.maximum(distance, 1e-6) / renderer.view.pixel_angle
+    size = np.exp(gaussians.log_scales.max(axis=1)) / np.maximum(distance, 1e-6) / render.pixel_angle
     chosen = np.flatnonzero((weight > _SEEN_MIN) & (wrong > rule.error * weight) & (size > rule.size_px))
     most = int(rule.share * len(gaussians))
     if len(chosen) > most:

@@ -28,7 +28,7 @@ from panobench.methods.panogs.places import Places, Thumbnail
 from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.views import View
-from panobench.splat.render import Renderer, RenderOutput
+from panobench.splat.render import Render, Renderer
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
@@ -106,7 +106,7 @@ class PanogsMethod(OnlineMethod):
         record = self.records.get(frame.index)
         return None if record is None else record.T_wc
 
-    def _exposed(self, frame: Frame, render: RenderOutput | None = None) -> Frame:
+    def _exposed(self, frame: Frame, render: Render | None = None) -> Frame:
         """The frame at the map's exposure, by its own ``render`` if there is one; itself if it is there already."""
         if not self.config.match_exposure:
             return frame
@@ -244,7 +244,7 @@ class PanogsMethod(OnlineMethod):
             return False
         m.add_keyframe(view, update_window(m.window, view, self.config.window))
         if self.config.densify and new_share < self.config.split_new:
-            m.split(view, tracked.render, self.track_renderer, ~unknown)
+            m.split(view, tracked.render, ~unknown)
         before = len(m.map)
         thumbnail = self.places.thumbnail(self.tracker.pyramid[-1])
         self.places.add(thumbnail)

@@ -18,7 +18,7 @@ from panobench.photometric.reference import AlignOptions, Reference, make_refere
 from panobench.photometric.weighting import reweighted
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
-from panobench.splat.render import Renderer, RenderOutput
+from panobench.splat.render import Render, Renderer
 
 #: Pixels with less opacity have no trustworthy depth.
 OPACITY_MIN = 0.9
@@ -31,7 +31,7 @@ class Tracked:
     """T_wc (4, 4), the last render, mean robust cost, iterations and whether the result can be trusted."""
 
     T_wc: NDArray[np.float64]
-    render: RenderOutput
+    render: Render
     cost: float
     iterations: int
     good: bool
@@ -115,14 +115,14 @@ class Tracker:
                 break
         return Tracked(T, render, a.cost, iterations, bool(np.isfinite(a.cost)) and a.overlap > 0.5, a)
 
-    def make_reference(self, render: RenderOutput, levels: int) -> Reference:
+    def make_reference(self, render: Render, levels: int) -> Reference:
         # What is outside the field of view could only be looked for in vain, and would count as not found.
         depth, luma = render.expected_depth(OPACITY_MIN), luma_of_planes(render.planes)
         depth[self.outside] = luma[self.outside] = np.nan
         reference = make_reference(self.camera, luma, depth, levels, self.options)
         return reweighted(reference, self.config.loss)
 
-    def moved_px(self, T: NDArray[np.float64], render: RenderOutput) -> float:
+    def moved_px(self, T: NDArray[np.float64], render: Render) -> float:
         """How far the motion ``T`` moves a pixel at the median depth, roughly."""
         depth = float(np.median(render.depth[self.valid]))
         return float(np.linalg.norm(T[:3, 3]) / max(depth, 1e-9) + np.linalg.norm(T[:3, :3] - np.eye(3))) / self.pixel
@@ -136,7 +136,7 @@ class Tracker:
             loss, gradient, _ = photometric_loss(out.planes, image, self.weights)
             if loss < best:
                 best, best_T = loss, T_cw
-            T_cw = adam.step(T_cw, self.renderer.backward(gradient, planar=True).pose, (0.001, 0.003))
+            T_cw = adam.step(T_cw, out.backward(gradient, planar=True).pose, (0.001, 0.003))
         T = invert_pose(best_T)
         render = self.renderer.forward(gaussians, T, count_touched=True)
         return Tracked(T, render, best, self.config.tracking_iterations, bool(np.isfinite(best)))

@@ -17,7 +17,7 @@ from panobench.geometry import Sim3
 from panobench.splat.adam import GaussianAdam, LearningRates
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.loss import photometric_loss
-from panobench.splat.render import Gradients, Renderer, RenderOutput
+from panobench.splat.render import Gradients, Render, Renderer
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class ViewGradient:
     loss: float
     gradients: Gradients
     d_exposure: tuple[float, float]
-    render: RenderOutput
+    render: Render
 
 
 @dataclass
@@ -103,7 +103,7 @@ class GaussianTrainer:
         loss, d_planes, d_exposure = photometric_loss(
             out.planes, view.image, view.weights, view.gain, view.offset, self.knee
         )
-        return ViewGradient(loss, renderer.backward(d_planes, planar=True), d_exposure, out)
+        return ViewGradient(loss, out.backward(d_planes, planar=True), d_exposure, out.detach())
 
     def step(
         self, views: Sequence[TrainingView], rates: LearningRates, renderer: Renderer | None = None
