@@ -13,7 +13,7 @@ from panobench.bench.config import config_values, method_config
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
 from panobench.bench.opening import DEFAULT_DEPTH, check_kind, method_spec, open_input
 from panobench.bench.outside import outside_files
-from panobench.bench.request import RunRequest
+from panobench.bench.request import RunRequest, run_options
 from panobench.errors import DatasetError, InputError, OutputError, PanobenchError, UnknownNameError, UsageError
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.plugins import registry
@@ -55,15 +55,21 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """For people: method[preset, settings] camera fov depth dataset/sequence seed, without what is default."""
+        """For people: method[preset, settings] camera, further options, dataset/sequence seed, without defaults."""
         r = self.request
         chosen = [r.preset] if r.preset else []
         chosen += [f"{k}={v}" for k, v in r.settings.items()]
         method = f"{r.method}[{', '.join(chosen)}]" if chosen else r.method
+        further = [
+            option.words(value)
+            for option in run_options()
+            if option.label is not None
+            and option.name not in ("preset", "settings", "camera")
+            and (value := getattr(r, option.name)) not in (None, "", option.default)
+        ]
         place = f"{r.dataset}/{r.sequence}" if r.sequence else r.dataset
-        repeat = f" repeat {self.repeat}" if self.repeat else ""
-        given = " ".join([r.camera] + ([f"fov {r.fov}"] if r.fov else []) + ([f"depth {r.depth}"] if r.depth else []))
-        return f"{method} {given} {place} seed {r.seed}{repeat}"
+        words = [method, r.camera, *further, place, f"seed {r.seed}"]
+        return " ".join(words + ([f"repeat {self.repeat}"] if self.repeat else []))
 
     @property
     def slug(self) -> str:
@@ -131,8 +137,7 @@ class Planner:
 
     def _data_of(self, request: RunRequest) -> tuple[Any, str]:
         """The sequence as it would be given to any method (its files' checksums, camera, length); the camera's kind."""
-        seen = ("dataset", "sequence", "root", "camera", "width", "fov", "every", "max_frames")
-        key = digest([getattr(request, name) for name in seen])
+        key = digest([getattr(request, option.name) for option in run_options() if option.changes_input])
         if key not in self._data:
             try:
                 self._data[key] = self._opened(request)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from panobench.bench.request import run_options
 from panobench.bench.runfolder import RUN_JSON, read_run_json
 from panobench.bench.statistics import Change, change
 from panobench.errors import InputError, UnknownNameError, UsageError
@@ -34,10 +35,6 @@ NAMES = {
 _RULE = re.compile(r"\s*(any:)?\s*([a-z_0-9]+)\s*([<>])\s*([0-9.]+(?:e-?[0-9]+)?)\s*(%?)\s*$")
 #: Beyond it sums and squares overflow; nothing that is measured comes near.
 _LARGEST = 1e100
-#: What makes two runs the same cell; seeds and repeats are joined.
-_SAME = (
-    "preset", "settings", "camera", "dataset", "sequence", "width", "fov", "depth", "every", "max_frames", "holdout",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -185,11 +182,12 @@ def _methods(runs: list[dict[str, Any]]) -> set[str]:
 
 
 def _groups(runs: list[dict[str, Any]], with_method: bool) -> dict[str, Group]:
+    """Runs by what makes two of them the same cell; seeds and repeats are joined."""
+    options = [o for o in run_options() if o.separates and (with_method or o.name != "method")]
     groups: dict[str, Group] = {}
     for run in runs:
         spec = _mapping(run.get("spec"))
-        names = ("method", *_SAME) if with_method else _SAME
-        key = json.dumps([spec.get(name) for name in names], sort_keys=True, default=str)
+        key = json.dumps([spec.get(o.name, o.default) for o in options], sort_keys=True, default=str)
         label = " ".join(str(spec[n]) for n in ("method", "preset", "camera", "dataset", "sequence") if spec.get(n))
         groups.setdefault(key, Group(label)).runs.append(run)
     return groups

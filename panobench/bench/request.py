@@ -1,52 +1,185 @@
-"""What one run is asked to do: plain values, the same from the command line, a suite cell or a worker's file."""
+"""What one run is asked to do: plain values, the same from the command line, a suite cell or a worker's file.
+
+``RunRequest`` is the one list of run options. Each field says by ``run_option`` what the rest of panobench has to know
+about it: the command line, suites, studies, caches, comparisons, labels and reports derive from ``run_options()``.
+A new option is a new field here and the code that honours it.
+"""
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from dataclasses import MISSING, dataclass, field, fields
+from functools import lru_cache
+from typing import Any, TypeVar, cast
 
 from panobench.errors import UnknownNameError, UsageError
 
+T = TypeVar("T")
 DEFAULT_DATASET, DEFAULT_SEQUENCE = "rooms", "room1"
 
 
 @dataclass(frozen=True)
+class RunOption:
+    """One run option. name, type and default are those of the field; the rest is what ``run_option`` was told.
+
+    help:          one line for the command line.
+    changes_input: the sequence given to a method (images, times, truth) depends on it.
+    label:         how labels say a value that tells two runs apart, "{} px"; None for what is no variant of a run:
+                   the method, where and on what it ran, the seed.
+    separates:     runs that differ in it are never taken for repeats of each other, nor compared.
+    suite_key:     suite files have a key of its own for it; the others stand under ``options``, and studies take them.
+    minimum:       the least whole number allowed.
+    always_said:   the command line of a stored run names it even where it is the default.
+    flag:          its name on the command line.
+    import_help:   what `panobench import` says about it, if not the same. It takes the options that change the input,
+                   and those that have such a text.
+    """
+
+    name: str
+    type: Any
+    default: Any
+    help: str
+    changes_input: bool
+    label: str | None
+    separates: bool = True
+    suite_key: bool = False
+    minimum: int | None = None
+    always_said: bool = False
+    flag: str = ""
+    import_help: str = ""
+
+    def check(self, value: Any) -> None:
+        """Raises UsageError for a number that is not allowed."""
+        if self.minimum is None or value is None:
+            return
+        if isinstance(value, bool) or not isinstance(value, int) or value < self.minimum:
+            raise UsageError(f"{self.flag} {value}: must be a whole number of at least {self.minimum}")
+
+    def words(self, value: Any) -> str:
+        """A value as labels say it: "256 px"."""
+        return (self.label or "{}").format(value_text(value))
+
+
+def run_option(default: T, help: str, *, changes_input: bool, label: str | None, **about: Any) -> T:
+    """A field of RunRequest; ``about``: further fields of RunOption."""
+    metadata = {"run_option": {"help": help, "changes_input": changes_input, "label": label, **about}}
+    if isinstance(default, dict):
+        return cast(T, field(default_factory=default.copy, metadata=metadata))
+    return cast(T, field(default=default, metadata=metadata))
+
+
+@dataclass(frozen=True)
 class RunRequest:
-    """One run. None means the default of the dataset or method.
+    """One run. None means the default of the dataset or method. Labels name the options in this order.
 
     camera: "KIND" or "KIND:VARIANT" as `--camera` takes it; fov: degrees, as `--fov` takes it.
     every: use each n-th frame. holdout: each n-th frame used is tracked, never mapped (0: none).
     depth: "NAME" or "NAME:ARGUMENT" of a depth estimator. settings: what `--set` changes in the method's options.
     """
 
-    method: str = "panogs"
-    camera: str = "erp"
-    dataset: str = DEFAULT_DATASET
-    sequence: str | None = None
-    root: str | None = None
-    width: int | None = 512
-    fov: str | None = None
-    depth: str | None = None
-    every: int = 1
-    max_frames: int | None = None
-    holdout: int = 0
-    seed: int = 0
-    preset: str | None = None
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    method: str = run_option(
+        "panogs",
+        "Method; see `panobench list methods`.",
+        changes_input=False,
+        label=None,
+        suite_key=True,
+        always_said=True,
+    )
+    preset: str | None = run_option(
+        None, "Preset of the method's options.", changes_input=False, label="{}", suite_key=True
+    )
+    camera: str = run_option(
+        "erp",
+        "MODEL, MODEL:VIEW (pinhole:front) or a calibration file.",
+        changes_input=True,
+        label="{}",
+        suite_key=True,
+        always_said=True,
+        import_help="Camera the method used: MODEL, MODEL:VIEW or a calibration file.",
+    )
+    dataset: str = run_option(
+        DEFAULT_DATASET,
+        "Dataset; see `panobench list datasets`.",
+        changes_input=True,
+        label=None,
+        suite_key=True,
+        always_said=True,
+    )
+    sequence: str | None = run_option(
+        None, "Sequence; default: the first.", changes_input=True, label=None, suite_key=True
+    )
+    root: str | None = run_option(
+        None,
+        "Folder or file of the data.",
+        changes_input=True,
+        label=None,
+        separates=False,
+        suite_key=True,
+    )
+    fov: str | None = run_option(None, "Field of view in degrees: 120 or 120x60.", changes_input=True, label="{}° fov")
+    depth: str | None = run_option(
+        None, "First depth: NAME or NAME:ARGUMENT; default: bootstrap.", changes_input=False, label="{}"
+    )
+    width: int | None = run_option(
+        512,
+        "Width of the images given to the method, pixels.",
+        changes_input=True,
+        label="{} px",
+        minimum=16,
+        always_said=True,
+        import_help="Width of the frames, and of the renders, pixels.",
+    )
+    every: int = run_option(
+        1,
+        "Use each n-th frame.",
+        changes_input=True,
+        label="every {}",
+        minimum=1,
+        import_help="The method used each n-th frame.",
+    )
+    max_frames: int | None = run_option(
+        None,
+        "Use at most this many frames.",
+        changes_input=True,
+        label="{} frames",
+        minimum=1,
+        import_help="The method used at most this many frames.",
+    )
+    holdout: int = run_option(
+        0,
+        "Track but never map each n-th frame; 0: none.",
+        changes_input=False,
+        label="holdout {}",
+        minimum=0,
+        import_help="The method did not map each n-th frame; 0: none.",
+    )
+    seed: int = run_option(
+        0,
+        "Seed of all randomness.",
+        changes_input=False,
+        label=None,
+        separates=False,
+        suite_key=True,
+        minimum=0,
+        always_said=True,
+    )
+    settings: Mapping[str, Any] = run_option(
+        {}, "One option of the method; repeatable.", changes_input=False, label="{}", suite_key=True, flag="--set"
+    )
 
     def __post_init__(self) -> None:
-        for name, low in (("every", 1), ("max_frames", 1), ("holdout", 0), ("seed", 0), ("width", 16)):
-            value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < low):
-                raise UsageError(f"{_option(name)} {value}: must be a whole number of at least {low}")
+        for option in run_options(type(self)):
+            option.check(getattr(self, option.name))
         if self.holdout == 1:
             raise UsageError("--holdout 1: every frame would be held out and nothing mapped; use 2 or more")
         if self.dataset == DEFAULT_DATASET and self.sequence is None:
             object.__setattr__(self, "sequence", DEFAULT_SEQUENCE)
 
     def to_dict(self) -> dict[str, Any]:
-        return {**asdict(self), "settings": dict(self.settings)}
+        """Plain values by name."""
+        values = {option.name: getattr(self, option.name) for option in run_options(type(self))}
+        return {k: dict(v) if isinstance(v, Mapping) else v for k, v in values.items()}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> RunRequest:
@@ -60,20 +193,39 @@ class RunRequest:
     def command(self, out: str | None = None) -> list[str]:
         """The command line that makes this run again."""
         words = ["panobench", "run"]
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if f.name in ("settings", "preset", "depth", "fov", "root", "sequence") and not value:
+        for option in run_options(type(self)):
+            value = getattr(self, option.name)
+            if value in (None, "") or (value == option.default and not option.always_said):
                 continue
-            if f.name == "settings":
-                for key, setting in value.items():
-                    words += ["--set", f"{key}={_word(setting)}"]
-            elif value is not None and not (f.name in ("every", "holdout") and value == f.default):
-                words += [_option(f.name), str(value)]
+            given = [f"{k}={_word(v)}" for k, v in value.items()] if isinstance(value, Mapping) else [str(value)]
+            for text in given:
+                words += [option.flag, text]
         return words + (["--out", out] if out else [])
 
 
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
+def run_options(request: type | None = None) -> tuple[RunOption, ...]:
+    """Every run option, in the order of labels and of the command line."""
+    return _run_options(request or RunRequest)
+
+
+@lru_cache(maxsize=4)
+def _run_options(request: type) -> tuple[RunOption, ...]:
+    hints = typing.get_type_hints(request)
+    found = []
+    for f in fields(request):
+        default = f.default if f.default is not MISSING else cast(Any, f.default_factory)()
+        about = {"flag": "--" + f.name.replace("_", "-"), **f.metadata["run_option"]}
+        found.append(RunOption(f.name, hints[f.name], default, **about))
+    return tuple(found)
+
+
+def value_text(value: Any) -> str:
+    """A value as short text; of settings "a=1, b=2"."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{k}={value_text(v)}" for k, v in sorted(value.items()))
+    if isinstance(value, (list, tuple)):
+        return ", ".join(value_text(v) for v in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _word(value: Any) -> str:

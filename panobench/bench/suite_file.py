@@ -9,10 +9,10 @@ import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from panobench.bench.cells import Cell, Limits
-from panobench.bench.request import RunRequest
+from panobench.bench.request import RunOption, RunRequest, run_options
 from panobench.errors import DatasetError, InputError, PanobenchError, UnavailableError, UnknownNameError
 from panobench.plugins import registry
 from panobench.reading import parse_yaml, read_text
@@ -22,7 +22,6 @@ MAX_CELLS = 100_000
 _KEYS = ("name", "methods", "cameras", "datasets", "seeds", "repeats", "options")
 _METHOD_KEYS = ("name", "preset", "set", "cameras", "options")
 _DATASET_KEYS = ("name", "root", "sequences", "options")
-_RUN_OPTIONS = ("width", "fov", "depth", "every", "max_frames", "holdout")
 _LIMITS = tuple(f.name for f in fields(Limits))
 
 
@@ -89,7 +88,7 @@ def _cell(
             root=_optional(dataset.get("root"), path, "root"),
             sequence=sequence,
             seed=seed,
-            **{k: v for k, v in options.items() if k in _RUN_OPTIONS},
+            **{k: v for k, v in options.items() if k in _run_options()},
         )
         limits = Limits(**{k: v for k, v in options.items() if k in _LIMITS})
     except InputError:
@@ -120,11 +119,17 @@ def _sequences(dataset: Mapping[str, Any], path: Path, notes: list[str]) -> Iter
 
 def _options(value: Any, path: Path) -> dict[str, Any]:
     options = _mapping(value if value is not None else {}, path, "options")
-    _known(options, (*_RUN_OPTIONS, *_LIMITS), "option")
-    for key in ("fov", "depth"):
-        if options.get(key) is not None:
-            options[key] = _text(options[key], path, key)
+    known = _run_options()
+    _known(options, (*known, *_LIMITS), "option")
+    for key, value in options.items():
+        if key in known and str in (known[key].type, *get_args(known[key].type)) and value is not None:
+            options[key] = _text(value, path, key)
     return options
+
+
+def _run_options() -> dict[str, RunOption]:
+    """What may stand under ``options`` beside the limits: what has no key of its own."""
+    return {option.name: option for option in run_options() if not option.suite_key}
 
 
 def _entry(value: Any, keys: tuple[str, ...], path: Path, where: str) -> dict[str, Any]:

@@ -12,28 +12,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from panobench.bench.request import RunRequest, run_options
+from panobench.cli.run_options import with_run_options
+
 if TYPE_CHECKING:
-    from panobench.bench.request import RunRequest
     from panobench.external.imported import ImportOptions
 
 app = typer.Typer()
 
 
 @app.command(name="import")
+@with_run_options([o for o in run_options() if o.changes_input or o.import_help], lambda o: o.import_help or o.help)
 def import_run(
+    given: dict[str, Any],
     trajectory: Annotated[Path, typer.Argument(help="The trajectory: TUM, KITTI or EuRoC.")],
     name: Annotated[str, typer.Option(help="What the row is called: the method, as it is to stand in tables.")],
-    sequence: Annotated[str | None, typer.Option(help="Sequence; default: the first.")] = None,
-    dataset: Annotated[str, typer.Option(help="Dataset; see `panobench list datasets`.")] = "rooms",
-    root: Annotated[str | None, typer.Option(help="Folder or file of the data.")] = None,
-    camera: Annotated[
-        str, typer.Option(help="Camera the method used: MODEL, MODEL:VIEW or a calibration file.")
-    ] = "erp",
-    width: Annotated[int, typer.Option(help="Width of the frames, and of the renders, pixels.")] = 512,
-    fov: Annotated[str | None, typer.Option(help="Field of view in degrees: 120 or 120x60.")] = None,
-    every: Annotated[int, typer.Option(help="The method used each n-th frame.")] = 1,
-    max_frames: Annotated[int | None, typer.Option(help="The method used at most this many frames.")] = None,
-    holdout: Annotated[int, typer.Option(help="The method did not map each n-th frame; 0: none.")] = 0,
     form: Annotated[str | None, typer.Option("--format", help="tum, tum-ns, kitti or euroc; default: look.")] = None,
     inverse: Annotated[bool, typer.Option("--inverse", help="The file holds world-to-camera poses.")] = False,
     time_offset: Annotated[float, typer.Option(help="Seconds added to the trajectory's times.")] = 0.0,
@@ -47,7 +40,6 @@ def import_run(
     as_json: Annotated[bool, typer.Option("--json", help="Print the run's run.json, and nothing else.")] = False,
 ) -> None:
     """Score a trajectory made elsewhere; the row is marked imported."""
-    from panobench.bench.request import RunRequest
     from panobench.bench.runfolder import RUN_JSON, read_run_json
     from panobench.cli.run import exit_code, summary
     from panobench.errors import UsageError
@@ -55,18 +47,7 @@ def import_run(
 
     if not name.strip() or not name.isprintable() or len(name) > 80:
         raise UsageError("--name: give one line of up to 80 characters")
-    request = RunRequest(
-        method=name,
-        camera=camera,
-        dataset=dataset,
-        sequence=sequence,
-        root=root,
-        width=width,
-        fov=fov,
-        every=every,
-        max_frames=max_frames,
-        holdout=holdout,
-    )
+    request = RunRequest(method=name, **given)
     options = ImportOptions(form, inverse, time_offset, max_dt, metric, renders)  # type: ignore[arg-type]
     folder = score_import(trajectory, request, options, out, force=force, citation=citation)
     document = read_run_json(folder)

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 
 import typer
 
-from panobench.bench.config import parse_settings
-from panobench.bench.request import RunRequest
+from panobench.bench.request import RunRequest, run_options
+from panobench.cli.run_options import with_run_options
 from panobench.errors import UsageError
 
 app = typer.Typer()
@@ -30,23 +30,9 @@ def watching(option: str | None) -> AbstractContextManager[object]:
 
 
 @app.command()
+@with_run_options(run_options(), lambda option: option.help)
 def run(
-    method: Annotated[str, typer.Option(help="Method; see `panobench list methods`.")] = "panogs",
-    camera: Annotated[str, typer.Option(help="MODEL, MODEL:VIEW (pinhole:front) or a calibration file.")] = "erp",
-    dataset: Annotated[str, typer.Option(help="Dataset; see `panobench list datasets`.")] = "rooms",
-    sequence: Annotated[str | None, typer.Option(help="Sequence; default: the first.")] = None,
-    root: Annotated[str | None, typer.Option(help="Folder or file of the data.")] = None,
-    width: Annotated[int, typer.Option(help="Width of the images given to the method, pixels.")] = 512,
-    fov: Annotated[str | None, typer.Option(help="Field of view in degrees: 120 or 120x60.")] = None,
-    depth: Annotated[str | None, typer.Option(help="First depth: NAME or NAME:ARGUMENT; default: bootstrap.")] = None,
-    every: Annotated[int, typer.Option(help="Use each n-th frame.")] = 1,
-    max_frames: Annotated[int | None, typer.Option(help="Use at most this many frames.")] = None,
-    holdout: Annotated[int, typer.Option(help="Track but never map each n-th frame; 0: none.")] = 0,
-    seed: Annotated[int, typer.Option(help="Seed of all randomness.")] = 0,
-    preset: Annotated[str | None, typer.Option(help="Preset of the method's options.")] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One option of the method; repeatable.")
-    ] = None,
+    given: dict[str, Any],
     out: Annotated[Path | None, typer.Option(help="The run folder; default: a new one below runs/.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out.")] = False,
     viewer: Annotated[
@@ -57,22 +43,7 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print the run's run.json, and nothing else.")] = False,
 ) -> None:
     """Run one method on one sequence and store the run."""
-    request = RunRequest(
-        method=method,
-        camera=camera,
-        dataset=dataset,
-        sequence=sequence,
-        root=root,
-        width=width,
-        fov=fov,
-        depth=depth,
-        every=every,
-        max_frames=max_frames,
-        holdout=holdout,
-        seed=seed,
-        preset=preset,
-        settings=parse_settings(settings or ()),
-    )
+    request = RunRequest(**given)
     if quiet and verbose:
         raise UsageError("--quiet and --verbose exclude each other")
     with watching(viewer):

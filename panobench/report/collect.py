@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from panobench.bench.request import run_options
 from panobench.bench.runfolder import read_run_json
 from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import InputError
 from panobench.geometry import Sim3, so3_log, umeyama
 from panobench.report.model import (
-    VARIANT_KEYS,
     Array,
     Collection,
     DepthPictures,
@@ -239,7 +239,7 @@ def _variant(spec: Mapping[str, Any]) -> dict[str, str]:
     method = _mapping(spec.get("method"))
     sources = [spec, method, _mapping(spec.get("options"))]
     found: dict[str, str] = {}
-    for key in VARIANT_KEYS:
+    for key in (option.name for option in run_options() if option.label is not None):
         names = ("settings", "set", "overrides") if key == "settings" else (key,)
         for source in sources:
             value = next((source[name] for name in names if source.get(name) not in (None, "", {}, [])), None)

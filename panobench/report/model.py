@@ -17,20 +17,6 @@ from panobench.types import Trajectory
 Array = NDArray[np.float64]
 Origin = Literal["measured", "imported", "published"]
 
-#: Run-level options that may tell two variants of one method apart, in the order labels show them.
-VARIANT_KEYS = (
-    "preset",
-    "camera",
-    "fov",
-    "depth",
-    "width",
-    "every",
-    "max_frames",
-    "holdout",
-    "settings",
-    "version",
-)
-
 
 @dataclass(frozen=True)
 class ImagePair:

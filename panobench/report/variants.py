@@ -6,9 +6,8 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from panobench.report.model import VARIANT_KEYS, Collection, Origin, Run
-
-_WORDS = {"width": "{} px", "fov": "{}° fov", "every": "every {}", "max_frames": "{} frames", "holdout": "holdout {}"}
+from panobench.bench.request import run_options
+from panobench.report.model import Collection, Origin, Run
 
 
 @dataclass(frozen=True, order=True)
@@ -22,7 +21,8 @@ class Variant:
     @property
     def label(self) -> str:
         """Method and distinguishing options, for example "panogs · paper · 256 px"."""
-        return " · ".join([self.method, *(_WORDS.get(key, "{}").format(value) for key, value in self.parts)])
+        options = {option.name: option for option in run_options()}
+        return " · ".join([self.method, *(options[key].words(value) for key, value in self.parts)])
 
 
 def variants(collection: Collection) -> dict[Variant, list[Run]]:
@@ -40,25 +40,23 @@ def variants(collection: Collection) -> dict[Variant, list[Run]]:
 def variant_of(run: Run, differing: Iterable[str]) -> Variant:
     """The variant a run belongs to, given the option names that matter in this report."""
     keep = set(differing)
-    parts = tuple((k, run.variant[k]) for k in VARIANT_KEYS if k in keep and run.variant.get(k))
+    parts = tuple((o.name, run.variant[o.name]) for o in run_options() if o.name in keep and run.variant.get(o.name))
     return Variant(run.method, parts, run.origin)
 
 
-#: Options that decide what a method is given: where they differ, even between methods, labels say so.
-INPUT_KEYS = frozenset({"camera", "fov", "width", "every", "max_frames"})
-
-
 def _differing(collection: Collection) -> set[str]:
+    """Options that labels say; what changes a method's input also where it differs between methods."""
     found: set[str] = set()
     for place in collection.places():
         runs = collection.at(place)
-        for key in VARIANT_KEYS:
+        for option in (o for o in run_options() if o.label is not None):
+            key = option.name
             by_method: dict[str, set[str]] = defaultdict(set)
             for run in runs:
                 by_method[run.method].add(run.variant.get(key, ""))
             if key == "depth":  # unknown where a run failed before it chose one
                 by_method = {method: values - {""} for method, values in by_method.items()}
             given = {value for values in by_method.values() for value in values} - {""}
-            if any(len(v) > 1 for v in by_method.values()) or (key in INPUT_KEYS and len(given) > 1):
+            if any(len(v) > 1 for v in by_method.values()) or (option.changes_input and len(given) > 1):
                 found.add(key)
     return found

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, make_dataclass
+from typing import Any, get_type_hints
 
 from panobench.bench.cells import Cell, Limits, Planned
-from panobench.bench.request import RunRequest
+from panobench.bench.request import RunRequest, run_options
 from panobench.bench.statistics import summarise
 from panobench.bench.store import Store, Stored
 from panobench.bench.suite import SuiteRunner, make_plan
@@ -19,11 +19,18 @@ from panobench.types import RunStatus
 FAILED = "/"
 
 
+#: The run options that suite files have under ``options``, as a dataclass: studies take them all.
+_SuiteOptions: Any = make_dataclass(
+    "_SuiteOptions", [(o.name, o.type, o.default) for o in run_options() if not o.suite_key], frozen=True
+)
+
+
 @dataclass(frozen=True)
-class RunOptions:
+class RunOptions(_SuiteOptions):
     """Options of every study that runs a method: which, on what, how often, and for how long at most.
 
-    width: what order the rows of a study come in shows at 256 pixels, at a fourth of the cost of 512.
+    Those of a suite's ``options`` are among them. width: what order the rows of a study come in shows at 256 pixels,
+    at a fourth of the cost of 512.
     """
 
     method: str = "panogs"
@@ -33,29 +40,21 @@ class RunOptions:
     sequences: tuple[str, ...] = ("room1", "room2", "room3", "room4", "room5")
     seeds: tuple[int, ...] = (0,)
     width: int = 256
-    max_frames: int | None = None
-    every: int = 1
-    holdout: int = 0
-    depth: str | None = None
     timeout_s: float = 3600.0
     memory_gib: float = 8.0
 
     def request(self, sequence: str, seed: int, **changes: Any) -> RunRequest:
-        """A run of these options; ``changes`` are fields of RunRequest."""
-        chosen = RunRequest(
-            method=self.method,
-            preset=self.preset,
-            dataset=self.dataset,
-            root=self.root,
-            sequence=sequence,
-            seed=seed,
-            width=self.width,
-            max_frames=self.max_frames,
-            every=self.every,
-            holdout=self.holdout,
-            depth=self.depth,
-        )
-        return replace(chosen, **changes)
+        """A run of these options; ``changes`` are fields of RunRequest.
+
+        An option that a study gives another type (a list of fields of view) is the study's own, and no run's.
+        """
+        mine, usual = get_type_hints(type(self)), get_type_hints(RunOptions)
+        given = {
+            option.name: getattr(self, option.name)
+            for option in run_options()
+            if option.name in usual and mine[option.name] == usual[option.name]
+        }
+        return RunRequest(**{**given, "sequence": sequence, "seed": seed, **changes})
 
     def cell(self, sequence: str, seed: int, **changes: Any) -> Cell:
         limits = Limits(timeout_s=self.timeout_s, memory_gib=self.memory_gib)

@@ -79,7 +79,7 @@ def test_the_same_command_again_runs_nothing(tmp_path: Path) -> None:
     assert {f: (f / "run.json").stat().st_mtime_ns for f in (tmp_path / "runs").iterdir()} == before
     entry = read_run_json(store.folder(cells[0]))["cell"]
     assert entry["suite"] == "test"
-    assert entry["label"] == "fake-still erp tiny/blind seed 0"
+    assert entry["label"] == "fake-still erp 64 px 4 frames tiny/blind seed 0"
 
 
 def test_external_programs_that_fail_are_rows_and_the_suite_goes_on(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def test_a_matrix_is_expanded(tmp_path: Path) -> None:
     assert len(suite.cells) == (2 + 1) * (2 + 3) * 2
     assert len({c.identity for c in suite.cells}) == len({c.slug for c in suite.cells}) == len(suite.cells)
     first = suite.cells[0]
-    assert first.label == "fake-still erp tiny/a seed 0"
+    assert first.label == "fake-still erp 128 px 5 frames holdout 4 tiny/a seed 0"
     assert (first.request.width, first.request.max_frames, first.request.holdout) == (128, 5, 4)
     assert (first.limits.timeout_s, first.limits.memory_gib) == (9, 2)
     options = [c for c in suite.cells if c.request.method == "fake-options"]

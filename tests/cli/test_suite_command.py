@@ -37,7 +37,7 @@ def test_a_suite_from_plan_to_status(suite: list[str], tmp_path: Path, capsys: p
     assert "to do: new" in printed
     assert panobench([*suite, "--only", "still"]) == 0
     printed = capsys.readouterr()
-    assert printed.err.startswith("[1/1] ok            fake-still erp tiny/blind seed 0  tracked 100%")
+    assert printed.err.startswith("[1/1] ok            fake-still erp 64 px 4 frames tiny/blind seed 0  tracked 100%")
     assert printed.out.startswith("1 ok; runs in")
     assert panobench([*suite, "--dry-run", "--json"]) == 0
     planned = rows(capsys)
