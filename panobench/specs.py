@@ -9,6 +9,7 @@ import importlib
 import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any, ClassVar
 
 from panobench.errors import UnavailableError
@@ -56,10 +57,10 @@ class Spec:
 
 
 def load_object(path: str, what: str) -> Any:
-    """Import "module:Name". Raises UnavailableError naming ``what`` when a third-party import fails."""
+    """Import "module:Name" or "module:Class.name". Raises UnavailableError naming ``what`` when an import fails."""
     module, _, attribute = path.partition(":")
     try:
-        return getattr(importlib.import_module(module), attribute)
+        return attrgetter(attribute)(importlib.import_module(module))
     except ModuleNotFoundError as error:
         raise UnavailableError(f"{what} needs the Python package '{error.name}'") from error
 

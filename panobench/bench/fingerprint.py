@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dis
 import hashlib
+import importlib
 import importlib.metadata
 import importlib.util
 import json
@@ -46,7 +47,9 @@ def code_fingerprint(implementations: Iterable[str]) -> str:
         if not name or name in modules or name.partition(".")[0] not in packages or _is_not_results(name):
             continue
         if name not in roots and _spec(name) is None:
-            continue  # a name imported from a module, not a module
+            # not a module, but a name imported from one; the package may export it from another module on first use
+            waiting += _exporting_module(name)
+            continue
         source = _source(name)
         # an empty file is source too; looking up distributions takes a third of a second each time
         modules[name] = _version_of(name) if source is None else source
@@ -89,6 +92,15 @@ def _spec(name: str) -> Any:
         return importlib.util.find_spec(name)
     except (ImportError, ValueError, AttributeError):
         return None
+
+
+def _exporting_module(name: str) -> list[str]:
+    """The module from which panobench's packages export a name on first use (``_WHERE`` in their __init__)."""
+    package, _, attribute = name.rpartition(".")
+    if package.partition(".")[0] != "panobench" or not _is_package(package):
+        return []
+    where = getattr(importlib.import_module(package), "_WHERE", {}).get(attribute)
+    return [] if where is None else [where]
 
 
 def _is_package(name: str) -> bool:

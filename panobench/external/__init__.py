@@ -1,6 +1,7 @@
-"""Running other people's programs as panobench methods: what the adapters under ``plugins/`` are built of.
+"""Base classes and helpers of adapters that run other people's programs as panobench methods.
 
-Part of the plugin contract (`docs/plugins.md`). Names are imported on first use, so that `panobench --help` stays fast.
+They are part of the plugin contract (`docs/plugins.md`). Names are imported on first use, so that `panobench --help`
+stays fast.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ _EXPORTS = {
         "Job",
     ),
     "panobench.external.bag": ("BAG_START_S", "write_bag"),
-    "panobench.external.findings": ("Finding", "missing_libraries"),
+    "panobench.external.findings": ("Finding", "library_finding", "missing_libraries"),
     "panobench.external.inputs": (
         "OpenCvFisheye",
         "OpenCvPinhole",
         "WrittenImages",
         "frame_rate",
+        "intrinsics",
         "nanoseconds",
         "opencv_fisheye",
         "opencv_pinhole",
@@ -33,6 +35,9 @@ _EXPORTS = {
         "write_mask",
     ),
     "panobench.external.launch": ("Place", "parse_place"),
+    "panobench.external.orb_slam": ("MonoEurocMethod", "OrbSlamConfig", "OrbSlamMethod"),
+    "panobench.external.python_package": ("PythonPackageMethod", "copy_script", "find_package"),
+    "panobench.external.stored_map": ("StoredMap", "read_stored_map"),
     "panobench.external.trajectory": ("TrajectoryFormat", "read_answer"),
     "panobench.external.vocabulary": (
         "VOCABULARY_VARIABLE",

@@ -1,7 +1,7 @@
-"""The base of adapters to other people's programs: write input, run the command, read the trajectory.
+"""The base class of adapters to other people's programs: write the input, run the command, read the trajectory.
 
-A subclass says what the program wants (``prepare``) and where its answer is; everything that can go wrong in
-between is handled here, once.
+A subclass says what the program wants (``prepare``) and where its answer will be. What can go wrong in between is
+handled here.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from typing import ClassVar
 import numpy as np
 
 from panobench.datasets.base import FrameSequence
+from panobench.datasets.trajectory_match import interpolate_poses
 from panobench.errors import InputError, MethodError, MethodTimeoutError, UnavailableError, UsageError
 from panobench.external import confine
-from panobench.external.findings import Finding, missing_libraries
+from panobench.external.findings import Finding, library_finding
 from panobench.external.launch import Place, parse_place
 from panobench.external.process import Finished, clean_environment, last_lines, log_tail, run_logged
 from panobench.external.trajectory import TrajectoryFormat, read_answer
-from panobench.external.vocabulary import named_vocabulary
-from panobench.external.watch import guarded_folders, listing, strays
+from panobench.external.watch import list_files, watched_folders, written_outside
 from panobench.methods.base import BatchMethod, MethodContext
 from panobench.options import Options, option
 from panobench.types import Estimate, RunStatus, Trajectory
 
-#: Of the program's log that go into the run's own: the work folder is removed afterwards.
+#: The last lines of the program's log that are copied into the run's log. The work folder is removed after the run.
 LOGGED_LINES = 100
 _REFUSED = ("permission denied", "read-only file system", "errno 13", "eacces")
 
@@ -49,14 +49,16 @@ class ExternalConfig(Options):
 
 @dataclass(frozen=True)
 class Job:
-    """One program run. Paths are absolute, below the work folder but for ``reads``.
+    """One run of a program. Paths are absolute and, except for ``reads``, below the work folder.
 
-    arguments:  after the program's name.
-    trajectory: the file the program writes. format: how.
-    reads:      files or folders outside the work folder that it must see (a vocabulary).
-    statuses:   exit codes that mean something; else 0 is a success, 126 and 127 "unavailable", the rest "crashed".
-    keyframes:  a second file of the same format with the keyframes, if the program writes one.
-    silent_when_lost: after a success without a trajectory file nothing was tracked; else that is an error.
+    arguments:  what follows the program's name on the command line.
+    trajectory: the file that the program writes; ``format`` says how.
+    reads:      files or folders outside the work folder that the program must see (a vocabulary).
+    statuses:   exit codes with a meaning. Otherwise 0 is success, 126 and 127 "unavailable", all others "crashed".
+    keyframes:  a second file of the same format that holds the keyframes, if the program writes one.
+    frame_seconds: a file with the seconds that tracking took, one number per frame; they are stored in frames.csv.
+    interpolate_gap_s: frames between two answered ones at most this far apart get an interpolated pose (0: none do).
+    silent_when_lost: success without a trajectory file means that nothing was tracked. Otherwise it is an error.
     """
 
     arguments: list[str]
@@ -67,11 +69,13 @@ class Job:
     environment: Mapping[str, str] = field(default_factory=dict)
     statuses: Mapping[int, RunStatus] = field(default_factory=dict)
     keyframes: Path | None = None
+    frame_seconds: Path | None = None
+    interpolate_gap_s: float = 0.0
     silent_when_lost: bool = False
 
 
 class ExternalProgramError(MethodError):
-    """A program failed; ``run_status`` says how, the message ends with its log's last lines."""
+    """A program failed. ``run_status`` says how; the message ends with the last lines of the program's log."""
 
     def __init__(self, message: str, status: RunStatus, log: Path) -> None:
         tail = log_tail(log)
@@ -80,14 +84,15 @@ class ExternalProgramError(MethodError):
 
 
 class ExternalTimeoutError(ExternalProgramError, MethodTimeoutError):
-    """A program took longer than its limit and was ended."""
+    """A program took longer than its time limit and was ended."""
 
 
 class ExternalMethod(BatchMethod):
-    """Base class. ``title`` is the program's name for people, ``program`` its usual name on PATH.
+    """Base class of adapters.
 
-    variable: start of the environment variables that name program and place:
-    <variable>_COMMAND and <variable>_RUN_IN. metric: its scale is metres.
+    title: the program's name for people. program: its usual name on PATH. variable: the start of the environment
+    variables <variable>_COMMAND and <variable>_RUN_IN, which name the program and where it runs. metric: the
+    program's scale is metric.
     """
 
     title: ClassVar[str]
@@ -101,26 +106,25 @@ class ExternalMethod(BatchMethod):
 
     @abstractmethod
     def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
-        """Write the program's input below ``context.work`` (resolved) and say how to run it."""
+        """Write the program's input below ``context.work`` (an absolute path) and say how to run the program."""
 
     def command(self) -> str:
-        """The program to start: option, environment variable, or its usual name."""
+        """The program to start: the option, the environment variable, or the program's usual name."""
         return self.config.command or os.environ.get(f"{self.variable}_COMMAND", "") or self.program
 
     def place(self) -> Place:
-        """Where it runs. Raises UsageError for text that names no place."""
+        """Where the program runs. Raises UsageError for text that names no such place."""
         return parse_place(self.config.run_in or os.environ.get(f"{self.variable}_RUN_IN", "") or "local")
 
     def files(self) -> list[Path]:
-        """The program and the named vocabulary, whose content counts for suites; inside containers nothing is seen."""
+        """Files on whose content results depend: the program, if it can be seen (not inside a container)."""
         place = self.place()
         found = place.find(self.command()) if place.kind in ("local", "venv") else None
-        vocabulary = named_vocabulary(self.config.vocabulary) if hasattr(self.config, "vocabulary") else None
-        return [Path(p) for p in (found, vocabulary) if p is not None]
+        return [] if found is None else [Path(found)]
 
     @classmethod
     def missing(cls, config: ExternalConfig | None = None) -> str | None:
-        """For probes: None if the program can be started, else one line what is missing."""
+        """For a spec's probe: None if the program can be started, otherwise one line that says what is missing."""
         method = cls(config)
         try:
             place = method.place()
@@ -133,7 +137,7 @@ class ExternalMethod(BatchMethod):
 
     @classmethod
     def diagnose(cls) -> list[Finding]:
-        """For `panobench doctor`: what is there and what is not, in the order in which it is needed."""
+        """For `panobench doctor`: what is there and what is missing, in the order in which it is needed."""
         method = cls()
         try:
             place = method.place()
@@ -147,52 +151,38 @@ class ExternalMethod(BatchMethod):
         fix = f"name it: export {cls.variable}_COMMAND=/path/to/{cls.program}, or {cls.variable}_RUN_IN=docker:IMAGE"
         found.append(Finding(program is not None, "program", program or f"'{method.command()}' is not on PATH", fix))
         if program is not None and place.kind in ("local", "venv"):
-            missing = missing_libraries(Path(program))
-            detail = f"needs {', '.join(missing)}" if missing else "all found"
-            found.append(Finding(not missing, "shared libraries", detail, "install them, or set LD_LIBRARY_PATH"))
+            found.append(library_finding("shared libraries", Path(program), "install them, or set LD_LIBRARY_PATH"))
         confined = confine.landlock_version() > 0 or place.tool is not None
-        detail = "writes are confined to the work folder" if confined else "no Landlock: strays are found afterwards"
+        detail = "writes are confined to the work folder" if confined else "no Landlock: writes are checked afterwards"
         return [*found, Finding(True, "confinement", detail)]
 
     def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
-        """Prepare, run, read. Raises UnavailableError, UnsupportedError or an ExternalProgramError."""
+        """Prepare, run and read. Raises UnavailableError, UnsupportedError or an ExternalProgramError."""
         reason = self.missing(self.config)
         if reason is not None:
             raise UnavailableError(reason)
         context.work = context.work.resolve()
         job = self.prepare(sequence, context)
         log = context.work / "program.log"
-        finished, confined = self._run(job, context, log)
-        self._judge(job, finished, confined, log)
-        try:
-            if job.silent_when_lost and not job.trajectory.exists():
-                trajectory = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-            else:
-                trajectory = read_answer(job.trajectory, job.format, sequence.times)
-            keys = None
-            if job.keyframes is not None and job.keyframes.exists():
-                keys = read_answer(job.keyframes, job.format, sequence.times)
-        except InputError as error:
-            raise ExternalProgramError(f"{self.title}'s trajectory: {error}", RunStatus.CRASHED, log) from error
-        index = {float(t): i for i, t in enumerate(sequence.times)}
-        return Estimate(
-            trajectory,
-            keyframes=[] if keys is None else [index[float(t)] for t in keys.times],
-            metric=self.metric,
-            extra={
-                "program": self.command(),
-                "place": self.place().kind,
-                "program_seconds": round(finished.seconds, 3),
-            },
-        )
+        finished, confined = self._start(job, context, log)
+        self._check_exit(job, finished, confined, log)
+        estimate = self._read(job, sequence, log)
+        estimate.extra = {
+            "program": self.command(),
+            "place": self.place().kind,
+            "program_seconds": round(finished.seconds, 3),
+            **estimate.extra,
+        }
+        return estimate
 
-    def _run(self, job: Job, context: MethodContext, log: Path) -> tuple[Finished, bool]:
+    def _start(self, job: Job, context: MethodContext, log: Path) -> tuple[Finished, bool]:
+        """Run the program to its end. The flag says whether the kernel or a container confined its writes."""
         environment = clean_environment(context.work, self.config.keep_env, job.environment)
         argv = [self.command(), *job.arguments, *shlex.split(self.config.extra)]
         launch = self.place().launch(argv, context.work, environment, job.reads, job.cwd)
         context.log(f"{self.title}: {shlex.join(argv)}")
-        folders = [] if launch.confined else guarded_folders(context.work)
-        before = listing(folders, context.work)
+        folders = [] if launch.confined else watched_folders(context.work)
+        before = list_files(folders, context.work)
         try:
             finished = run_logged(
                 launch.argv,
@@ -204,7 +194,7 @@ class ExternalMethod(BatchMethod):
             )
         except OSError as error:
             raise UnavailableError(f"{self.title}: cannot start {launch.argv[0]}: {error.strerror}") from error
-        outside = strays(before, listing(folders, context.work))
+        outside = written_outside(before, list_files(folders, context.work))
         if outside:
             names = ", ".join(map(str, outside[:3]))
             raise ExternalProgramError(f"{self.title} wrote outside its work folder: {names}", RunStatus.CRASHED, log)
@@ -213,8 +203,8 @@ class ExternalMethod(BatchMethod):
             context.log(f"| {line}")
         return finished, launch.confined
 
-    def _judge(self, job: Job, finished: Finished, confined: bool, log: Path) -> None:
-        """Raise what the exit code stands for; return if the answer may be read."""
+    def _check_exit(self, job: Job, finished: Finished, confined: bool, log: Path) -> None:
+        """Return if the answer may be read, otherwise raise the error that the exit code stands for."""
         code = finished.returncode
         if finished.stopped == "timeout":
             message = f"{self.title} was ended after {self.config.timeout_s:g} s"
@@ -232,3 +222,37 @@ class ExternalMethod(BatchMethod):
         if confined and any(word in log_tail(log, 40, 4000).lower() for word in _REFUSED):
             how += " (it may write to its work folder only, and something was refused)"
         raise ExternalProgramError(f"{self.title} {how}", status or RunStatus.CRASHED, log)
+
+    def _read(self, job: Job, sequence: FrameSequence, log: Path) -> Estimate:
+        """The answer of a program that went through. Raises ExternalProgramError for files that do not parse."""
+        try:
+            if job.silent_when_lost and not job.trajectory.exists():
+                trajectory = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+            else:
+                trajectory = read_answer(job.trajectory, job.format, sequence.times)
+            keyframes = np.zeros(0)
+            if job.keyframes is not None and job.keyframes.exists():
+                keyframes = read_answer(job.keyframes, job.format, sequence.times).times
+        except InputError as error:
+            raise ExternalProgramError(f"{self.title}'s trajectory: {error}", RunStatus.CRASHED, log) from error
+        index = {float(t): i for i, t in enumerate(sequence.times)}
+        estimate = Estimate(trajectory, keyframes=[index[float(t)] for t in keyframes], metric=self.metric)
+        if job.interpolate_gap_s > 0 and len(trajectory) > 1:
+            estimate.trajectory = interpolate_poses(trajectory, sequence.times, max_gap=job.interpolate_gap_s)
+            added = np.setdiff1d(estimate.trajectory.times, trajectory.times)
+            estimate.frames = {index[float(t)]: {"interpolated": 1.0} for t in added}
+            estimate.extra = {"interpolated_frames": len(added), "interpolate_gap_s": job.interpolate_gap_s}
+        for i, seconds in enumerate(_numbers(job.frame_seconds, len(sequence))):
+            estimate.frames.setdefault(i, {})["program_tracking_s"] = seconds
+        return estimate
+
+
+def _numbers(path: Path | None, count: int) -> list[float]:
+    """The numbers in a file, none if it does not hold exactly ``count`` of them."""
+    if path is None or not path.exists():
+        return []
+    try:
+        numbers = [float(word) for word in path.read_text(errors="replace").split()]
+    except ValueError:
+        return []
+    return numbers if len(numbers) == count else []

@@ -1,4 +1,4 @@
-"""What `panobench doctor` shows about a method, and looking at a program without running it."""
+"""What `panobench doctor` shows about a method, and what can be said about a program without running it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing a method needs: whether it is there, what was seen, and what to do if it is not."""
+    """Something that a method needs: whether it is there, what was found, and what to do if it is missing."""
 
     ok: bool
     what: str
@@ -19,9 +19,9 @@ class Finding:
 
 
 def missing_libraries(program: Path) -> list[str]:
-    """Shared libraries an ELF file needs and the loader does not find. Empty for scripts, or without ``ldd``.
+    """The shared libraries that an ELF file needs and the loader does not find. Empty for scripts, or without ``ldd``.
 
-    Only for programs and extension modules the user named or installed: ``ldd`` may run the file's loader.
+    Call it only for programs and extension modules that the user named or installed: ``ldd`` may run the file's loader.
     """
     ldd = shutil.which("ldd")
     try:
@@ -33,3 +33,9 @@ def missing_libraries(program: Path) -> list[str]:
     except (OSError, subprocess.SubprocessError):
         return []
     return sorted({line.split("=>")[0].strip() for line in done.stdout.splitlines() if "not found" in line})
+
+
+def library_finding(what: str, program: Path, fix: str) -> Finding:
+    """Whether the loader finds the shared libraries of a program or an extension module."""
+    missing = missing_libraries(program)
+    return Finding(not missing, what, f"needs {', '.join(missing)}" if missing else "all found", fix)

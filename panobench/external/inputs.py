@@ -1,7 +1,7 @@
-"""Writing what other people's programs read: images, time lists and calibration files.
+"""Inputs of other people's programs: images, masks, time lists and calibration files.
 
-OpenCV and the programs built on it put the centre of the first pixel at (0, 0), panobench at (0.5, 0.5): principal
-points written here are half a pixel smaller.
+OpenCV and the programs built on it put the centre of the first pixel at (0, 0), panobench puts it at (0.5, 0.5): the
+principal points that are written here are half a pixel smaller.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WrittenImages:
-    """The folder and the images' names in it, one per frame."""
+    """A folder and the names of the images in it, one per frame."""
 
     folder: Path
     names: list[str]
@@ -38,7 +38,7 @@ def write_images(
     names: list[str] | None = None,
     keep: NDArray[np.bool_] | None = None,
 ) -> WrittenImages:
-    """PNG files in frame order, named 000000.png ... unless ``names`` are given (without suffix).
+    """Write PNG files in the order of the frames: 000000.png and so on, or ``names`` (without suffix).
 
     ``keep`` (H, W): pixels where it is False are written black.
     """
@@ -58,12 +58,12 @@ def write_images(
 
 
 def nanoseconds(times: NDArray[np.float64]) -> list[str]:
-    """Times in whole nanoseconds, as EuRoC names its images."""
+    """Times in whole nanoseconds, by which EuRoC names its images."""
     return [str(round(float(t) * 1e9)) for t in times]
 
 
 def write_mask(camera: Camera, path: Path, keep: NDArray[np.bool_] | None = None) -> bool:
-    """A PNG, 255 where pixels count (``keep``, or all valid ones); False (and no file) when all of them do."""
+    """Write a PNG that is 255 where pixels count (``keep``, or all valid ones); no file, and False, if all do."""
     valid = camera.valid_mask() if keep is None else keep
     if valid.all():
         return False
@@ -72,9 +72,9 @@ def write_mask(camera: Camera, path: Path, keep: NDArray[np.bool_] | None = None
 
 
 def pixels_ahead(camera: Camera, half_angle_deg: float = 85.0) -> NDArray[np.bool_]:
-    """(H, W): valid pixels whose rays lie within an angle of the optical axis.
+    """(H, W): the valid pixels whose rays lie within an angle of the optical axis.
 
-    For programs that carry image points on the plane z = 1, where rays at 90 degrees are at infinity and those beyond
+    For programs that carry image points to the plane z = 1, where rays at 90 degrees go to infinity and those beyond
     come back from the other side.
     """
     valid = camera.valid_mask()
@@ -82,13 +82,13 @@ def pixels_ahead(camera: Camera, half_angle_deg: float = 85.0) -> NDArray[np.boo
 
 
 def frame_rate(times: NDArray[np.float64]) -> float:
-    """Frames per second: the inverse of the median interval (1 for a single frame)."""
+    """Frames per second: the inverse of the median interval, 1 for a single frame."""
     return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 1.0
 
 
 @dataclass(frozen=True)
 class OpenCvPinhole:
-    """Focal lengths, principal point (OpenCV's pixel centres) and k1 k2 p1 p2 k3."""
+    """A pinhole camera in pixels with OpenCV's pixel centres; ``distortion`` is k1 k2 p1 p2 k3."""
 
     fx: float
     fy: float
@@ -98,7 +98,7 @@ class OpenCvPinhole:
 
 
 def opencv_pinhole(camera: Camera, program: str) -> OpenCvPinhole:
-    """Raises UnsupportedError if the camera is none, or has the rational distortion model."""
+    """The camera in OpenCV's numbers. Raises UnsupportedError for other cameras, or rational distortion."""
     if camera.kind != "pinhole":
         raise UnsupportedError(f"{program} takes pinhole images, not {camera.kind}; give --camera pinhole")
     v = camera.to_dict()
@@ -111,7 +111,7 @@ def opencv_pinhole(camera: Camera, program: str) -> OpenCvPinhole:
 
 @dataclass(frozen=True)
 class OpenCvFisheye:
-    """Kannala-Brandt with four coefficients, OpenCV's pixel centres."""
+    """A Kannala-Brandt camera in pixels with OpenCV's pixel centres; ``k`` holds four coefficients."""
 
     fx: float
     fy: float
@@ -126,10 +126,15 @@ def opencv_fisheye(camera: Camera) -> OpenCvFisheye:
     return OpenCvFisheye(v["fx"], v["fy"], v["cx"] - 0.5, v["cy"] - 0.5, tuple(v["k"]))
 
 
-def require_pyramid(camera: Camera, levels: int, factor: float, margin: int, program: str) -> None:
-    """Raise UnsupportedError if the smallest of an image pyramid's levels has ``margin`` or fewer rows or columns.
+def intrinsics(camera: OpenCvPinhole | OpenCvFisheye) -> dict[str, float]:
+    """fx, fy, cx and cy by name, for settings files."""
+    return {"fx": float(camera.fx), "fy": float(camera.fy), "cx": float(camera.cx), "cy": float(camera.cy)}
 
-    ORB extractors look for corners in what is left inside a margin, and crash when that is nothing.
+
+def require_pyramid(camera: Camera, levels: int, factor: float, margin: int, program: str) -> None:
+    """Raise UnsupportedError if the smallest level of the image pyramid has ``margin`` or fewer rows or columns.
+
+    ORB extractors look for corners inside a margin, and crash when nothing is left inside it.
     """
     side = min(camera.width, camera.height)
     fitting = sum(round(side / factor**level) > margin for level in range(levels))
@@ -140,7 +145,7 @@ def require_pyramid(camera: Camera, levels: int, factor: float, margin: int, pro
 
 
 def opencv_yaml(values: Mapping[str, Any]) -> str:
-    """A file for OpenCV's FileStorage: numbers, strings, nested mappings (one level), 2-D arrays as matrices."""
+    """Text for OpenCV's FileStorage: numbers, strings, mappings (one level deep), 2-D arrays as matrices."""
     lines = ["%YAML:1.0", "---"]
     for key, value in values.items():
         if isinstance(value, Mapping):
@@ -162,7 +167,7 @@ def opencv_yaml(values: Mapping[str, Any]) -> str:
 
 
 def _scalar(value: Any) -> str:
-    """OpenCV tells real numbers from integers by the point, and reads a real where it wants one only."""
+    """OpenCV tells a real number from an integer by its point, and programs insist on the type they expect."""
     if isinstance(value, bool):
         return str(int(value))
     if isinstance(value, int):

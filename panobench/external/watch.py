@@ -1,4 +1,4 @@
-"""Find what a program wrote beside its work folder, where the kernel could not keep it from doing so."""
+"""Find what a program wrote outside its work folder, for kernels that cannot confine it (see ``confine``)."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from pathlib import Path
 import psutil
 
 MAX_ENTRIES = 20000
+#: path -> (time of modification in ns, size)
 Listing = dict[str, tuple[int, int]]
 
 
-def guarded_folders(work: Path) -> list[Path]:
-    """Where strays land: the two folders above the work folder, the current one and the home folder."""
+def watched_folders(work: Path) -> list[Path]:
+    """Folders that programs tend to write to: the two above the work folder, the current and the home folder."""
     folders = [work.parent, work.parent.parent, Path.cwd(), Path.home()]
     return list(dict.fromkeys(f.resolve() for f in folders))
 
 
-def listing(folders: list[Path], work: Path) -> Listing:
-    """path -> (mtime in ns, size) of the entries of ``folders``, without the work folder; folders count as size 0."""
+def list_files(folders: list[Path], work: Path) -> Listing:
+    """The entries of ``folders`` without the work folder. Folders among them are listed with time and size 0."""
     found: Listing = {}
     skip = str(work.resolve())
     for folder in folders:
@@ -38,8 +39,8 @@ def listing(folders: list[Path], work: Path) -> Listing:
     return found
 
 
-def strays(before: Listing, after: Listing) -> list[Path]:
-    """What is new or changed, except files that this process itself has open (its logs)."""
+def written_outside(before: Listing, after: Listing) -> list[Path]:
+    """The files that are new or changed, except those that this process itself has open (its logs)."""
     changed = [path for path, state in after.items() if before.get(path) != state]
     if not changed:
         return []

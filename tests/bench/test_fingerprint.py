@@ -56,6 +56,26 @@ def test_every_module_that_can_be_imported_counts(package: Path, name: str) -> N
     assert hash_now() != before
 
 
+def test_a_name_that_panobench_exports_lazily_counts_with_its_module(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Adapters import the base classes of panobench.external, which its __init__ takes from modules on first use."""
+    (package / "near.py").write_text("from panobench.external import MonoEurocMethod\n")
+    source = fingerprint._source
+
+    def edited(name: str) -> str | None:
+        return f"{source(name)}# changed\n" if name == "panobench.external.orb_slam" else source(name)
+
+    used = hash_now()
+    monkeypatch.setattr(fingerprint, "_source", edited)
+    assert code_fingerprint(["demo_plugin.method:M"]) != used
+    monkeypatch.undo()
+    (package / "near.py").write_text("")
+    unused = hash_now()
+    monkeypatch.setattr(fingerprint, "_source", edited)
+    assert code_fingerprint(["demo_plugin.method:M"]) == unused
+
+
 def test_other_modules_do_not_count(package: Path) -> None:
     before = hash_now()
     (package / "unrelated.py").write_text("x = 2\n")

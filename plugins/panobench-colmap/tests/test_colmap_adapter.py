@@ -84,7 +84,7 @@ def test_a_crash_shows_the_log(tmp_path: Path) -> None:
 
 
 def test_an_old_pycolmap_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: object())
+    monkeypatch.setattr("panobench.external.python_package.find_package", lambda place, name: Path(name))
     monkeypatch.setattr("importlib.metadata.version", lambda name: "0.6.1")
     assert "no equirectangular camera" in str(Colmap.missing())
 

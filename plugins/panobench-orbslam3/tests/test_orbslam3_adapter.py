@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from panobench_orbslam3 import BINARY, PYTHON
 from panobench_orbslam3.binary import OrbSlam3Binary
-from panobench_orbslam3.bindings import OrbSlam3
-from panobench_orbslam3.settings import OrbSlam3Config, seen, settings
+from panobench_orbslam3.bindings import OrbSlam3, OrbSlam3Config
 from panobench_orbslam3.track import decode_grey_png
 
 from panobench import Camera, MethodContext, MethodError, UnavailableError, UnsupportedError
-from panobench.external import VOCABULARY_VARIABLE, opencv_yaml, orb_descriptors, train_vocabulary
+from panobench.external import VOCABULARY_VARIABLE, OrbSlamConfig, opencv_yaml, orb_descriptors, train_vocabulary
 from panobench.geometry import make_pose, so3_exp
 from panobench.testing import (
     TinySequence,
@@ -82,7 +81,7 @@ def test_the_binary_gets_its_files_and_its_answer_is_read(
     rows = saved(sequence)
     keys = "\n".join(rows.splitlines()[1:3]) + "\n"
     program = write_program(tmp_path / "mono_euroc", MONO_EUROC % (rows, keys))
-    estimate = run_method(OrbSlam3Binary(OrbSlam3Config(command=str(program), levels=2)), sequence).estimate
+    estimate = run_method(OrbSlam3Binary(OrbSlamConfig(command=str(program), levels=2)), sequence).estimate
     assert len(estimate.trajectory) == 6
     assert np.allclose(estimate.trajectory.positions, sequence.groundtruth.positions, atol=1e-8)  # type: ignore[union-attr]
     assert estimate.keyframes == [0, 1]
@@ -91,7 +90,7 @@ def test_the_binary_gets_its_files_and_its_answer_is_read(
 def test_a_crash_of_the_binary_shows_its_log(sequence: TinySequence, vocabulary: Path, tmp_path: Path) -> None:
     program = write_program(tmp_path / "mono_euroc", "import sys; print('Wrong path to vocabulary'); sys.exit(255)")
     with pytest.raises(MethodError, match=r"exit code 255; the log ends: Wrong path to vocabulary"):
-        run_method(OrbSlam3Binary(OrbSlam3Config(command=str(program), levels=2)), sequence)
+        run_method(OrbSlam3Binary(OrbSlamConfig(command=str(program), levels=2)), sequence)
 
 
 def test_a_missing_binary_is_unavailable(sequence: TinySequence) -> None:
@@ -169,14 +168,14 @@ def test_an_environment_without_the_package_says_how_to_get_it(tmp_path: Path) -
 def test_settings_hold_the_cameras_in_opencv_pixels(tmp_path: Path) -> None:
     values = {"model": "pinhole", "width": 96, "height": 64, "fx": 50.0, "fy": 51.0, "cx": 48.0, "cy": 32.0}
     distorted = camera_from_dict({**values, "distortion": [0.1, -0.02, 0.001, 0.002]})
-    (tmp_path / "s.yaml").write_text(opencv_yaml(settings(distorted, 29.97, OrbSlam3Config(levels=2))))
+    (tmp_path / "s.yaml").write_text(opencv_yaml(OrbSlam3(OrbSlam3Config(levels=2)).settings(distorted, 29.97)))
     file = cv2.FileStorage(str(tmp_path / "s.yaml"), cv2.FILE_STORAGE_READ)
     assert file.getNode("Camera1.cx").real() == 47.5
     assert file.getNode("Camera1.k2").real() == -0.02
     assert file.getNode("Camera.fps").isInt()
     assert file.getNode("Camera1.fx").isReal()
     assert file.getNode("Camera.type").string() == "PinHole"
-    fisheye = settings(fisheye_camera(96, 120), 10.0, OrbSlam3Config(levels=2))
+    fisheye = OrbSlam3(OrbSlam3Config(levels=2)).settings(fisheye_camera(96, 120), 10.0)
     assert fisheye["Camera.type"] == "KannalaBrandt8"
     assert fisheye["Camera1.k4"] == 0.0
 
@@ -184,14 +183,14 @@ def test_settings_hold_the_cameras_in_opencv_pixels(tmp_path: Path) -> None:
 def test_a_fisheye_is_shown_as_far_as_the_program_can_see(vocabulary: Path, tmp_path: Path) -> None:
     lens = fisheye_camera(96, 190)
     sequence = TinySequence(lens, n=2)
-    method = OrbSlam3Binary(OrbSlam3Config(levels=2))
+    method = OrbSlam3Binary(OrbSlamConfig(levels=2))
     method.prepare(sequence, MethodContext(work=tmp_path))
     written = sorted((tmp_path / "sequence" / "mav0" / "cam0" / "data").glob("*.png"))
     image = cv2.imread(str(written[0]), cv2.IMREAD_GRAYSCALE)
     angle = np.rad2deg(np.arccos(np.clip(lens.rays()[..., 2], -1, 1)))
     assert image[angle < 84].mean() > 20
     assert image[angle > 86].max() == 0
-    assert seen(PINHOLE) is None
+    assert OrbSlam3().visible_pixels(PINHOLE) is None
 
 
 def test_images_on_which_it_crashes_are_refused() -> None:
@@ -199,16 +198,16 @@ def test_images_on_which_it_crashes_are_refused() -> None:
     small = pinhole_camera(288, 120, 60)  # the view that goes with panoramas of 512 pixels
     assert small.height == 96
     with pytest.raises(UnsupportedError, match=r"288x96 pixels are too few for 8 .*--set levels=6$"):
-        settings(small, 10.0, OrbSlam3Config())
-    assert settings(small, 10.0, OrbSlam3Config(levels=6))["ORBextractor.nLevels"] == 6
-    assert settings(small, 10.0, OrbSlam3Config(scale_factor=1.1))["ORBextractor.nLevels"] == 8
+        OrbSlam3(OrbSlam3Config()).settings(small, 10.0)
+    assert OrbSlam3(OrbSlam3Config(levels=6)).settings(small, 10.0)["ORBextractor.nLevels"] == 6
+    assert OrbSlam3(OrbSlam3Config(scale_factor=1.1)).settings(small, 10.0)["ORBextractor.nLevels"] == 8
     with pytest.raises(UnsupportedError, match=r"give a larger --width$"):
-        settings(pinhole_camera(32, 90, 90), 10.0, OrbSlam3Config())
+        OrbSlam3(OrbSlam3Config()).settings(pinhole_camera(32, 90, 90), 10.0)
 
 
 def test_a_panorama_is_refused() -> None:
     with pytest.raises(UnsupportedError, match="no erp camera"):
-        settings(TinySequence().camera, 10.0, OrbSlam3Config())
+        OrbSlam3(OrbSlam3Config()).settings(TinySequence().camera, 10.0)
 
 
 def test_the_png_reader_of_the_runner_agrees_with_opencv() -> None:

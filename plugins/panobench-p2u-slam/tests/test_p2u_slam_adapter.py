@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from panobench_p2u_slam import SPEC
-from panobench_p2u_slam.method import P2uSlam, P2uSlamConfig, missing, settings
+from panobench_p2u_slam.method import P2uSlam, P2uSlamConfig
 
 from panobench import UnavailableError, UnsupportedError
 from panobench.external import VOCABULARY_VARIABLE
@@ -52,18 +52,18 @@ def test_annular_images_go_in_and_poses_come_out(tmp_path: Path) -> None:
         f"{t * 1e9:.0f} " + " ".join(f"{v:.9f}" for v in r) + "\n" for t, *r in pose_rows(sequence.groundtruth)
     )
     path = write_program(tmp_path / "p2u", STAND_IN % rows)
-    run = run_method(P2uSlam(P2uSlamConfig(command=str(path))), sequence)
+    run = run_method(P2uSlam(P2uSlamConfig(command=str(path), levels=2)), sequence)
     assert np.array_equal(run.estimate.trajectory.times, sequence.times)
     assert ate_rmse(run, sequence) < 1e-6
 
 
 def test_its_absence_is_said_plainly() -> None:
-    assert str(missing()).startswith("no public code at present")
+    assert str(P2uSlam.missing()).startswith("no public code at present")
     with pytest.raises(UnavailableError):
         run_method(P2uSlam(), TinySequence(PAL, n=2))
 
 
 def test_its_other_cameras() -> None:
-    assert settings(fisheye_camera(96, 120), 20.0, 1500)["Camera.type"] == "KannalaBrandt8"
+    assert P2uSlam(P2uSlamConfig(levels=2)).settings(fisheye_camera(96, 120), 20.0)["Camera.type"] == "KannalaBrandt8"
     with pytest.raises(UnsupportedError, match="no erp camera"):
-        settings(TinySequence().camera, 20.0, 1500)
+        P2uSlam().settings(TinySequence().camera, 20.0)

@@ -57,7 +57,7 @@ def test_images_go_in_and_poses_and_a_map_come_out(tmp_path: Path) -> None:
     assert sequence.groundtruth is not None
     rows = [" ".join(f"{v:.9f}" for v in row) + "\n" for row in pose_rows(sequence.groundtruth)]
     path = write_program(tmp_path / "tum_mono", TUM_MONO % ("".join(rows), rows[1], PLY))
-    run = run_method(PhotoSlam(PhotoSlamConfig(command=str(path), iterations=200)), sequence)
+    run = run_method(PhotoSlam(PhotoSlamConfig(command=str(path), iterations=200, levels=2)), sequence)
     assert np.allclose(run.estimate.trajectory.times, sequence.times)
     assert ate_rmse(run, sequence) < 1e-6
     assert run.estimate.keyframes == [1]
@@ -71,7 +71,7 @@ def test_a_missing_gpu_shows_in_the_log(tmp_path: Path) -> None:
     code = "import sys; print('Training on CPU.'); print('CUDA error: no device'); sys.exit(134)"
     path = write_program(tmp_path / "tum_mono", code)
     with pytest.raises(MethodError, match=r"exit code 134; the log ends: Training on CPU\. \| CUDA error: no device"):
-        run_method(PhotoSlam(PhotoSlamConfig(command=str(path))), TinySequence(CAMERA, n=2))
+        run_method(PhotoSlam(PhotoSlamConfig(command=str(path), levels=2)), TinySequence(CAMERA, n=2))
 
 
 def test_panoramas_are_refused() -> None:

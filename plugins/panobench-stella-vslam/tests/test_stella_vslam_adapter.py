@@ -109,7 +109,7 @@ def test_a_named_vocabulary_is_handed_over(tmp_path: Path, monkeypatch: pytest.M
         run_method(StellaVslam(program(tmp_path, "")), sequence)
 
 
-def test_a_dbow2_vocabulary_is_rewritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dbow2_vocabulary_is_converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     named = tmp_path / "ORBvoc.txt"
     named.write_text("10 6 0 0\n0 1 " + "0 " * 32 + "0.5\n")
     monkeypatch.delenv(VOCABULARY)
@@ -127,7 +127,7 @@ def test_the_doctor_says_what_becomes_of_loops(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv(VOCABULARY, str(tmp_path / "missing.fbow"))
     assert not StellaVslam.diagnose()[-1].ok
     monkeypatch.delenv(VOCABULARY)
-    assert "will be trained" in StellaVslam.diagnose()[-1].detail
+    assert "one is trained" in StellaVslam.diagnose()[-1].detail
 
 
 def test_a_mask_goes_along(tmp_path: Path) -> None:

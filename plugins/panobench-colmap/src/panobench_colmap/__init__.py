@@ -13,7 +13,7 @@ SPEC = MethodSpec(
     licence="BSD-3-Clause",
     citation="Schoenberger, Frahm: Structure-from-Motion Revisited (CVPR 2016)",
     install='pip install "pycolmap>=4"',
-    probe="panobench_colmap.method:missing",
+    probe="panobench_colmap.method:Colmap.missing",
     config="panobench_colmap.method:ColmapConfig",
     presets={"exhaustive": {"matcher": "exhaustive"}},
     deterministic=False,

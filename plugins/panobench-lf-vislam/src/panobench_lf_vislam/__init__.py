@@ -16,7 +16,7 @@ SPEC = MethodSpec(
     citation="Wang et al.: LF-VISLAM (IEEE T-ASE 2023)",
     install="a ROS 1 workspace with LF-VISLAM; then "
     "export PANOBENCH_LF_VISLAM_COMMAND=/path/to/roslaunch or PANOBENCH_LF_VISLAM_RUN_IN=docker:IMAGE",
-    probe="panobench_lf_vislam.method:missing",
+    probe="panobench_lf_vislam.method:LfVislam.missing",
     config="panobench_lf_vislam.method:LfVislamConfig",
     deterministic=False,
 )

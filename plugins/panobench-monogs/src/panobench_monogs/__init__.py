@@ -16,7 +16,7 @@ SPEC = MethodSpec(
     citation="Matsuki et al.: Gaussian Splatting SLAM (CVPR 2024)",
     install="clone and install MonoGS, then "
     "export PANOBENCH_MONOGS_HOME=/path/to/MonoGS PANOBENCH_MONOGS_RUN_IN=conda:MonoGS",
-    probe="panobench_monogs.method:missing",
+    probe="panobench_monogs.method:MonoGs.missing",
     config="panobench_monogs.method:MonoGsConfig",
     deterministic=False,
 )

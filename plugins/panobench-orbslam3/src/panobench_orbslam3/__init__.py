@@ -15,8 +15,8 @@ PYTHON = MethodSpec(
     licence="GPL-3.0",
     citation=_CITATION,
     install='pip install "pyorbslam3==0.1.1"; apt install libgl1 libegl1 libopengl0 libsm6 libice6 libx11-6 libxext6',
-    probe="panobench_orbslam3.bindings:missing",
-    config="panobench_orbslam3.settings:OrbSlam3Config",
+    probe="panobench_orbslam3.bindings:OrbSlam3.missing",
+    config="panobench_orbslam3.bindings:OrbSlam3Config",
     deterministic=False,
 )
 BINARY = MethodSpec(
@@ -28,8 +28,8 @@ BINARY = MethodSpec(
     licence="GPL-3.0",
     citation=_CITATION,
     install="build ORB-SLAM3, then export PANOBENCH_ORBSLAM3_BINARY_COMMAND=/path/to/mono_euroc",
-    probe="panobench_orbslam3.binary:missing",
-    config="panobench_orbslam3.settings:OrbSlam3Config",
+    probe="panobench_orbslam3.binary:OrbSlam3Binary.missing",
+    config="panobench.external:OrbSlamConfig",
     deterministic=False,
 )
 

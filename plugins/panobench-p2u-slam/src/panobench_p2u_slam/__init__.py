@@ -15,7 +15,7 @@ SPEC = MethodSpec(
     licence="not released",
     citation="Zhang et al.: P2U-SLAM (arXiv 2409.10143, 2024)",
     install="when its code is public: export PANOBENCH_P2U_SLAM_COMMAND=/path/to/its/program",
-    probe="panobench_p2u_slam.method:missing",
+    probe="panobench_p2u_slam.method:P2uSlam.missing",
     config="panobench_p2u_slam.method:P2uSlamConfig",
     deterministic=False,
 )

@@ -15,7 +15,7 @@ SPEC = MethodSpec(
     licence="GPL-3.0",
     citation="Huang et al.: Photo-SLAM (CVPR 2024)",
     install="build Photo-SLAM, then export PANOBENCH_PHOTO_SLAM_COMMAND=/path/to/bin/tum_mono",
-    probe="panobench_photo_slam.method:missing",
+    probe="panobench_photo_slam.method:PhotoSlam.missing",
     config="panobench_photo_slam.method:PhotoSlamConfig",
     deterministic=False,
 )

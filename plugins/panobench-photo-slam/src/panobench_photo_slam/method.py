@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
-from panobench import Estimate, FrameSequence, InputError, MethodContext
+from panobench import Camera, Estimate, FrameSequence, MethodContext, UnsupportedError, option
 from panobench.external import (
     ExternalConfig,
-    ExternalMethod,
     Job,
+    OrbSlamConfig,
+    OrbSlamMethod,
     TrajectoryFormat,
     find_vocabulary,
     frame_rate,
-    opencv_pinhole,
     opencv_yaml,
+    read_stored_map,
     write_images,
 )
 
@@ -78,38 +78,20 @@ MAPPER: dict[str, Any] = {
     "GaussianViewer.image_scale_main": 1.0,
     "GaussianViewer.camera_watch_dist": 1e-6,
 }
-MAX_HEADER, MAX_MAP_BYTES = 65536, 2 << 30
 
 
 @dataclass(frozen=True)
-class PhotoSlamConfig(ExternalConfig):
-    """vocabulary: a DBoW2 text file ("": PANOBENCH_ORB_VOCABULARY, else one is trained on built-in rooms).
+class PhotoSlamConfig(OrbSlamConfig):
+    """Mapper."""
 
-    iterations: of the mapper, at most.
+    iterations: int = option(30100, "mapping steps, at most", above=0)
+
+
+class PhotoSlam(OrbSlamMethod):
+    """``tum_mono VOCABULARY ORB_SETTINGS MAPPER_SETTINGS SEQUENCE OUTPUT no_viewer``. It needs a CUDA GPU.
+
+    Its map is stored, and not rendered for scoring: the program's world moves after a loop closure.
     """
-
-    vocabulary: str = ""
-    features: int = 1000
-    iterations: int = 30100
-
-
-@dataclass(frozen=True)
-class StoredMap:
-    """The map as the program stored it, kept in memory: the work folder is removed before the run is written."""
-
-    data: bytes
-
-    def __len__(self) -> int:
-        header = self.data[:MAX_HEADER].split(b"end_header")[0].decode("ascii", errors="replace")
-        counts = [line.split()[-1] for line in header.splitlines() if line.startswith("element vertex ")]
-        return int(counts[0]) if len(counts) == 1 and counts[0].isdigit() else 0
-
-    def write_ply(self, path: Path) -> None:
-        path.write_bytes(self.data)
-
-
-class PhotoSlam(ExternalMethod):
-    """``tum_mono VOCABULARY ORB_SETTINGS MAPPER_SETTINGS SEQUENCE OUTPUT no_viewer``; needs a CUDA GPU."""
 
     title: ClassVar[str] = "Photo-SLAM"
     program: ClassVar[str] = "tum_mono"
@@ -117,20 +99,15 @@ class PhotoSlam(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = PhotoSlamConfig
     config: PhotoSlamConfig
 
-    def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
-        """A vocabulary that must be trained first is trained once, outside the run's own time."""
-        find_vocabulary(self.config.vocabulary, sequence, context.log)
+    def camera_settings(self, camera: Camera) -> dict[str, Any]:
+        if camera.kind != "pinhole":
+            raise UnsupportedError(f"Photo-SLAM takes pinhole images, not {camera.kind}; give --camera pinhole")
+        # written even if they are zero, as in the program's own settings files
+        return {f"Camera1.{key}": 0.0 for key in ("k1", "k2", "p1", "p2")} | super().camera_settings(camera)
 
     def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
-        work, camera = context.work, sequence.camera
-        p = opencv_pinhole(camera, "Photo-SLAM")
-        orb: dict[str, Any] = {"File.version": "1.0", "Camera.type": "PinHole"}
-        orb |= {f"Camera1.{key}": float(getattr(p, key)) for key in ("fx", "fy", "cx", "cy")}
-        orb |= {f"Camera1.{k}": float(x) for k, x in zip(("k1", "k2", "p1", "p2"), p.distortion)}
-        orb |= {"Camera.fps": max(1, round(frame_rate(sequence.times))), "Camera.RGB": 1}
-        orb |= {"Camera.width": camera.width, "Camera.height": camera.height}
-        orb |= {"ORBextractor.nFeatures": self.config.features, "ORBextractor.scaleFactor": 1.2}
-        orb |= {"ORBextractor.nLevels": 8, "ORBextractor.iniThFAST": 20, "ORBextractor.minThFAST": 7}
+        work = context.work
+        orb = self.settings(sequence.camera, frame_rate(sequence.times))
         (work / "orb.yaml").write_text(opencv_yaml(orb))
         mapper = MAPPER | {"Optimization.max_num_iterations": self.config.iterations}
         (work / "mapper.yaml").write_text(opencv_yaml(mapper))
@@ -151,16 +128,9 @@ class PhotoSlam(ExternalMethod):
         )
 
     def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
-        """As the base class, with the last map the program stored."""
+        """As the base class, with the last map that the program stored."""
         estimate = super().run(sequence, context)
         stored = sorted((context.work / "output").rglob("point_cloud.ply"), key=lambda p: p.stat().st_mtime)
         if stored:
-            if stored[-1].stat().st_size > MAX_MAP_BYTES:
-                raise InputError(f"the map is over {MAX_MAP_BYTES >> 20} MiB", stored[-1])
-            estimate.map = StoredMap(stored[-1].read_bytes())
+            estimate.map = read_stored_map(stored[-1])
         return estimate
-
-
-def missing() -> str | None:
-    """For the probe."""
-    return PhotoSlam.missing()

@@ -15,7 +15,7 @@ SPEC = MethodSpec(
     licence="BSD-2-Clause",
     citation="Sumikura et al.: OpenVSLAM (ACM MM 2019)",
     install="build stella_vslam_examples, then export PANOBENCH_STELLA_VSLAM_COMMAND=/path/to/run_image_slam",
-    probe="panobench_stella_vslam.method:missing",
+    probe="panobench_stella_vslam.method:StellaVslam.missing",
     config="panobench_stella_vslam.method:StellaVslamConfig",
     deterministic=False,
 )

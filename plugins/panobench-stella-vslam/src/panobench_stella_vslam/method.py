@@ -1,6 +1,6 @@
-"""stella_vslam through run_image_slam of stella_vslam_examples: a folder of images in, TUM out.
+"""stella_vslam through run_image_slam of stella_vslam_examples: a folder of images in, TUM trajectories out.
 
-The program takes no times: frame i is given at i / fps. It writes nothing when it never started a map.
+The program takes no times: frame i has the time i / fps. It writes no files if it never started a map.
 """
 
 from __future__ import annotations
@@ -8,11 +8,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import yaml
 
-from panobench import Camera, Estimate, FrameSequence, InputError, MethodContext, UnsupportedError
+from panobench import Camera, FrameSequence, InputError, MethodContext, UnsupportedError, option
 from panobench.external import (
     VOCABULARY_VARIABLE,
     ExternalConfig,
@@ -22,6 +22,7 @@ from panobench.external import (
     TrajectoryFormat,
     find_vocabulary,
     frame_rate,
+    intrinsics,
     opencv_fisheye,
     opencv_pinhole,
     pixels_ahead,
@@ -32,36 +33,35 @@ from panobench.external import (
 from panobench_stella_vslam.fbow import fbow_from_dbow2, is_fbow
 
 VOCABULARY = "PANOBENCH_STELLA_VSLAM_VOCABULARY"
-#: As option or variable: run without a vocabulary.
+#: The value of the option or variable that runs the program without a vocabulary.
 NONE = "none"
-#: Pixels of each pyramid level, on both sides together, in which stella_vslam looks for no corners.
+#: stella_vslam looks for no corners in a margin of every pyramid level; this many pixels on both sides together.
 MARGIN = 38
 
 
 @dataclass(frozen=True)
 class StellaVslamConfig(ExternalConfig):
-    """vocabulary: an FBoW file (orb_vocab.fbow) or a DBoW2 text file, which is rewritten; "": the variables
-    PANOBENCH_STELLA_VSLAM_VOCABULARY or PANOBENCH_ORB_VOCABULARY, else one is trained on built-in rooms; "none":
-    without, and then no loop is closed.
-    pace: "real-time" waits for each frame's time, "free" does not.
-    min_size: pixels per feature on every pyramid level; 0: see ``pixels_per_feature``.
-    """
+    """Features, vocabulary and pace."""
 
-    vocabulary: str = ""
-    pace: str = "real-time"
-    ini_fast: int = 20
-    min_fast: int = 7
-    min_size: int = 0
-    levels: int = 8
-    scale_factor: float = 1.2
+    vocabulary: str = option(
+        "",
+        "FBoW file (orb_vocab.fbow) or DBoW2 text file, which is converted; empty: PANOBENCH_STELLA_VSLAM_VOCABULARY "
+        "or PANOBENCH_ORB_VOCABULARY, else one is trained on built-in rooms; none: run without, loops are not closed",
+    )
+    pace: Literal["real-time", "free"] = option("real-time", "wait for each frame's time, or do not")
+    ini_fast: int = option(20, "FAST threshold", above=0)
+    min_fast: int = option(7, "FAST threshold where the first one finds no corner", above=0)
+    min_size: int = option(0, "area per feature on every pyramid level; 0: chosen by image size", unit="px")
+    levels: int = option(8, "levels of the image pyramid", above=0)
+    scale_factor: float = option(1.2, "ratio of the sizes of two levels of the image pyramid", above=1.0)
 
 
 def pixels_per_feature(camera: Camera) -> int:
-    """As many features for a panorama as stella_vslam's example has, 800 pixels each at 1920x960; elsewhere 200 pixels
-    each, and room for 1400 at least.
+    """The area per feature, in pixels: a panorama gets as many features as in stella_vslam's example, which has 800
+    pixels each at 1920x960. Other images get 200 pixels each, or less if 1400 features would not fit.
 
-    Its examples have 800 for every image size. With that a panorama of 1024 pixels was lost half-way, one of 512 never
-    tracked, nor was room1 in a pinhole view of 640; a view of 640x213 needed 97 pixels.
+    Its examples use 800 for every image size. With that, a panorama of 1024 pixels was lost half-way, one of 512 was
+    never tracked, and neither was room1 in a pinhole view of 640. A view of 640x213 needed 97 pixels.
     """
     area = camera.width * camera.height
     wanted = min(800, 800 * area / (1920 * 960)) if camera.kind == "erp" else min(200, area / 1400)
@@ -69,24 +69,23 @@ def pixels_per_feature(camera: Camera) -> int:
 
 
 def camera_values(camera: Camera, fps: float) -> dict[str, Any]:
-    """The Camera section. Raises UnsupportedError for a model stella_vslam does not have."""
-    values: dict[str, Any] = {
-        "name": "panobench",
-        "setup": "monocular",
-        "fps": fps,
-        "color_order": "BGR",
-    }  # as OpenCV reads
+    """The Camera section. Raises UnsupportedError for a model that stella_vslam does not have."""
+    # the program reads images by OpenCV, which gives BGR
+    values: dict[str, Any] = {"name": "panobench", "setup": "monocular", "fps": fps, "color_order": "BGR"}
     values |= {"cols": camera.width, "rows": camera.height}
     if camera.kind == "erp":
         return values | {"model": "equirectangular"}
     if camera.kind == "fisheye":
         fisheye = opencv_fisheye(camera)
-        values |= {"model": "fisheye", **{f"k{i + 1}": float(k) for i, k in enumerate(fisheye.k)}}
-        return values | {key: float(getattr(fisheye, key)) for key in ("fx", "fy", "cx", "cy")}
+        return values | {
+            "model": "fisheye",
+            **{f"k{i + 1}": float(k) for i, k in enumerate(fisheye.k)},
+            **intrinsics(fisheye),
+        }
     if camera.kind == "pinhole":
         pinhole = opencv_pinhole(camera, "stella_vslam")
-        values |= {"model": "perspective", **dict(zip(("k1", "k2", "p1", "p2", "k3"), pinhole.distortion))}
-        return values | {key: float(getattr(pinhole, key)) for key in ("fx", "fy", "cx", "cy")}
+        distortion = dict(zip(("k1", "k2", "p1", "p2", "k3"), pinhole.distortion))
+        return values | {"model": "perspective", **distortion, **intrinsics(pinhole)}
     raise UnsupportedError(f"stella_vslam has no {camera.kind} camera; give --camera erp, pinhole or fisheye")
 
 
@@ -106,25 +105,24 @@ class StellaVslam(ExternalMethod):
             named = method._named()
         except InputError as error:
             return [*found, Finding(False, "vocabulary", str(error), f"name another in {VOCABULARY}")]
-        detail = f"none named in {VOCABULARY} or {VOCABULARY_VARIABLE}: one will be trained on built-in rooms, once"
+        detail = f"none is named in {VOCABULARY} or {VOCABULARY_VARIABLE}: one is trained on built-in rooms"
         if method._choice() == NONE:
             detail = "none: loops are not closed"
         return [*found, Finding(True, "vocabulary", str(named) if named else detail)]
 
     def files(self) -> list[Path]:
-        """The program and the named vocabulary."""
-        place = self.place()
-        found = place.find(self.command()) if place.kind in ("local", "venv") else None
-        return [Path(p) for p in (found, self._named()) if p is not None]
+        """The program, and the vocabulary if the user named one."""
+        named = self._named()
+        return [*super().files(), *([] if named is None else [named])]
 
     def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
-        """A vocabulary that must be trained or rewritten first is so outside the run's own time."""
+        """Train or convert a vocabulary if that is needed, which is not counted as the run's time."""
         if not self._choice():
             find_vocabulary("", sequence, context.log)
         self._vocabulary(sequence, context.work.resolve())
 
     def _choice(self) -> str:
-        """What the option or the variables name: a file, NONE, or nothing."""
+        """What the option or the variables name: a file, NONE, or nothing (an empty text)."""
         return self.config.vocabulary or os.environ.get(VOCABULARY, "") or os.environ.get(VOCABULARY_VARIABLE, "")
 
     def _named(self) -> Path | None:
@@ -138,21 +136,19 @@ class StellaVslam(ExternalMethod):
         return path
 
     def _vocabulary(self, sequence: FrameSequence, work: Path) -> Path | None:
-        """A file in FBoW's format, if need be a rewritten one in the work folder."""
+        """A file in FBoW's format. One in DBoW2's format is converted, into the work folder."""
         if self._choice() == NONE:
             return None
         source = self._named() or find_vocabulary("", sequence)
         if is_fbow(source):
             return source
-        rewritten = work / "vocabulary.fbow"
-        if not rewritten.exists():
-            fbow_from_dbow2(source, rewritten)
-        return rewritten
+        converted = work / "vocabulary.fbow"
+        if not converted.exists():
+            fbow_from_dbow2(source, converted)
+        return converted
 
     def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work = context.work
-        if self.config.pace not in ("real-time", "free"):
-            raise UnsupportedError(f"pace '{self.config.pace}': stella_vslam is run at pace real-time or free")
         camera = sequence.camera
         require_pyramid(camera, self.config.levels, self.config.scale_factor, MARGIN, "stella_vslam")
         fps = round(frame_rate(sequence.times), 6)
@@ -179,27 +175,13 @@ class StellaVslam(ExternalMethod):
         vocabulary = self._vocabulary(sequence, work)
         arguments += ["--vocab", str(vocabulary)] if vocabulary else ["--without-vocab"]
         if vocabulary is None:
-            context.log("stella_vslam: without a vocabulary: loops are not closed")
+            context.log("stella_vslam runs without a vocabulary: loops are not closed")
         return Job(
             arguments,
             work / "eval" / "frame_trajectory.txt",
             TrajectoryFormat("tum", index_rate=fps),
             reads=() if vocabulary is None or work in vocabulary.parents else (vocabulary,),
             keyframes=work / "eval" / "keyframe_trajectory.txt",
+            frame_seconds=work / "eval" / "track_times.txt",
             silent_when_lost=True,
         )
-
-    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
-        """As the base class; the program's own tracking times join the frames."""
-        estimate = super().run(sequence, context)
-        times = context.work / "eval" / "track_times.txt"
-        if times.exists():
-            seconds = [float(line) for line in times.read_text().split()]
-            if len(seconds) == len(sequence):
-                estimate.frames = {i: {"program_tracking_s": s} for i, s in enumerate(seconds)}
-        return estimate
-
-
-def missing() -> str | None:
-    """For the probe."""
-    return StellaVslam.missing()

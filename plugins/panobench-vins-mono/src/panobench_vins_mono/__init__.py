@@ -16,7 +16,7 @@ SPEC = MethodSpec(
     citation="Qin et al.: VINS-Mono (IEEE T-RO 2018)",
     install="a ROS 1 workspace with VINS-Mono; then "
     "export PANOBENCH_VINS_MONO_COMMAND=/path/to/roslaunch or PANOBENCH_VINS_MONO_RUN_IN=docker:IMAGE",
-    probe="panobench_vins_mono.method:missing",
+    probe="panobench_vins_mono.method:VinsMono.missing",
     config="panobench_vins_mono.method:VinsMonoConfig",
     deterministic=False,
 )
