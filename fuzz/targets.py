@@ -6,6 +6,7 @@ import contextlib
 import functools
 import json
 import re
+import struct
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -176,6 +177,102 @@ extrinsicTranslation: !!opencv-matrix
    dt: d
    data: [0.09, 0.0, -0.05]
 """
+_OPENCV = """%YAML:1.0
+---
+image_width: 64
+image_height: 48
+fisheye_model: 0
+xi: !!opencv-matrix {rows: 1, cols: 1, dt: d, data: [1.1]}
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 40., 0., 31.5, 0., 41., 23.5, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 4
+   cols: 1
+   dt: d
+   data: [ -2.0000000000000001e-01, 0.05, 0.001, -0.0005 ]
+"""
+_ROS = """image_width: 64
+image_height: 48
+camera_matrix: {rows: 3, cols: 3, data: [40.0, 0.0, 31.5, 0.0, 41.0, 23.5, 0.0, 0.0, 1.0]}
+distortion_model: equidistant
+distortion_coefficients: {rows: 1, cols: 4, data: [0.01, 0.002, -0.001, 0.0001]}
+binning_x: 0
+roi: {x_offset: 0, y_offset: 0, height: 0, width: 0}
+"""
+_EUROC_SENSOR = """sensor_type: camera
+T_BS: {rows: 4, cols: 4, data: [0, -1, 0, 0.1, 1, 0, 0, 0.2, 0, 0, 1, 0, 0, 0, 0, 1]}
+resolution: [64, 48]
+camera_model: pinhole
+intrinsics: [40, 41, 31.5, 23.5]
+distortion_model: radial-tangential
+distortion_coefficients: [-0.2, 0.05, 0.001, -0.0005]
+"""
+_STEREO = "M1: [[40,0,31],[0,41,23],[0,0,1]]\nM2: [[40,0,31],[0,41,23],[0,0,1]]\nD1: [0,0,0,0,0]\nsize: [64, 48]\n"
+_OPENCV_XML = """<?xml version="1.0"?>
+<opencv_storage>
+<image_Width>64</image_Width><image_Height>48</image_Height>
+<Camera_Matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+<data>40. 0. 31.5 0. 41. 23.5 0. 0. 1.</data></Camera_Matrix>
+<Distortion_Coefficients type_id="opencv-matrix"><rows>5</rows><cols>1</cols><dt>d</dt>
+<data>-0.2 0.05 0.001 -0.0005 0.01</data></Distortion_Coefficients>
+<size><_>64</_><_>48</_></size>
+</opencv_storage>
+"""
+_ORBSLAM = """%YAML:1.0
+Camera.type: "KannalaBrandt8"
+Camera.width: 64
+Camera.height: 48
+""" + "".join(f"Camera{n}.{k}: {v}\n" for n in (1, 2) for k, v in zip(
+    ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"), (20, 21.0, 31.5, 23.5, 0.01, 0.002, -0.001, 0.0001))) + """
+IMU.T_b_c1: !!opencv-matrix {rows: 4, cols: 4, dt: f, data: [0, -1, 0, 1, 1, 0, 0, 2, 0, 0, 1, 3, 0, 0, 0, 1]}
+Stereo.T_c1_c2: !!opencv-matrix {rows: 4, cols: 4, dt: f, data: [1, 0, 0, 1, 0, 1, 0, 2, 0, 0, 1, 3, 0, 0, 0, 1]}
+"""  # fmt: skip
+_STELLA = """Camera:
+  model: "fisheye"
+  cols: 64
+  rows: 48
+  fx: 20
+  fy: 21
+  cx: 31.5
+  cy: 23.5
+  k1: 0.01
+"""
+_BASALT = json.dumps({"value0": {
+    "T_imu_cam": [{"px": 0, "py": 0.1, "pz": 0, "qx": 0, "qy": 0, "qz": 0, "qw": 1}] * 2, "cam_time_offset_ns": 12,
+    "intrinsics": [
+        {"camera_type": "ds", "intrinsics": {"fx": 20, "fy": 21, "cx": 31, "cy": 25, "xi": -0.2, "alpha": 0.59}},
+        {"camera_type": "kb4", "intrinsics": {"fx": 20, "fy": 21, "cx": 31, "cy": 25, "k1": 0.1, "k2": 0, "k3": 0,
+                                              "k4": 0}},
+    ], "resolution": [[64, 48], [64, 48]]}}, indent=1)  # fmt: skip
+_TRANSFORMS = json.dumps(
+    {
+        "camera_model": "OPENCV",
+        "w": 64,
+        "h": 48,
+        "fl_x": 40,
+        "fl_y": 41,
+        "cx": 32,
+        "cy": 24,
+        "k1": -0.1,
+        "p1": 0.001,
+        "frames": [
+            {
+                "file_path": f"images/{i}.png",
+                "transform_matrix": [[1, 0, 0, i], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
+            }
+            for i in range(3)
+        ],
+    },
+    indent=1,
+)
+_NGP = json.dumps({"camera_angle_x": 1.2, "w": 64, "h": 48, "frames": []})
+_COLMAP_BINARY = (
+    struct.pack("<QIiQQ8d", 3, 1, 5, 64, 48, 20, 21, 32, 24, 0.01, 0.002, -0.001, 0.0001)
+    + struct.pack("<IiQQ2d", 2, 17, 64, 32, 64, 32) + struct.pack("<IiQQ4d", 7, 2, 64, 48, 40, 32, 24, -0.1)
+)  # fmt: skip
 _COLMAP = """# Camera list
 1 OPENCV 64 48 40 41 32 24 -0.2 0.03 0.001 0.001
 2 EQUIRECTANGULAR 64 32 64 32
@@ -591,6 +688,18 @@ _TARGETS = (
     Target("panobench-camera", "camera.yaml", _written("panobench", _YAML_WORDS, (_PANOBENCH,)),
            _calibration("panobench")),
     Target("colmap", "cameras.txt", _written("colmap", _MODELS, (_COLMAP,)), _calibration("colmap")),
+    Target("colmap-binary", "cameras.bin", lambda: Material((_COLMAP_BINARY,), (b"\x11", b"\x05", b"\xff" * 8)),
+           _calibration("colmap")),
+    Target("opencv", "camera.yml", _text(_OPENCV, _ROS, _EUROC_SENSOR, _STEREO, words="K D M1 D2 dist xi skew fisheye "
+           "plumb_bob rational_polynomial omnidir !!opencv-matrix data rows T_BS size"), _calibration("opencv")),
+    Target("opencv-xml", "camera.xml", _text(_OPENCV_XML, words="<_> </_> <data> </data> <!DOCTYPE <!ENTITY &a; nan "
+           "<xi>1</xi> type_id"), _calibration("opencv")),
+    Target("slam-settings", "settings.yaml", _text(_ORBSLAM, _STELLA, words="Camera Camera1.fx PinHole fisheye "
+           "Rectified equirectangular perspective Camera.cols Tbc"), _calibration("slam-settings")),
+    Target("basalt", "calibration.json", _text(_BASALT, words='"ucm" "eucm" "pinhole" "pinhole-radtan8" "xi" "beta" '
+           "null [] {}"), _calibration("basalt")),
+    Target("nerfstudio-camera", "transforms.json", _text(_TRANSFORMS, _NGP, words='"OPENCV_FISHEYE" "EQUIRECTANGULAR" '
+           '"w" "k4" null [] {} 1e999'), _calibration("nerfstudio")),
     Target("synpano", "groundtruth.txt", _text(_SYNPANO, words="000000.png 000001.png ../x.png nan"), _synpano),
     Target("tum", "trajectory.tum", _text(_TUM, _TUM_NS, words="nan inf #"), _plain(_parse_tum)),
     Target("subprocess-trajectory", "answer.txt", _text(_TUM.replace("/15", "/20"), _TUM_NS, _KITTI, _EUROC, "", "\n",

@@ -63,6 +63,10 @@ class InputError(PanobenchError):
         self.path, self.line, self.frame = path, line, frame
 
 
+class InputWarning(UserWarning):
+    """Data that is used although something about it may not be as assumed; one line that says what to do."""
+
+
 class CalibrationError(InputError):
     """A calibration file that does not parse or contradicts itself."""
 

@@ -24,8 +24,8 @@ _MAX_DIGITS = 300
 Error = type[InputError]
 
 
-def read_text(path: Path, what: str, limit: int = SMALL_BYTES, error: Error = InputError) -> str:
-    """The file's text, UTF-8 without NUL. Raises ``error`` when it is missing, over ``limit`` bytes or not text."""
+def read_bytes(path: Path, what: str, limit: int = SMALL_BYTES, error: Error = InputError) -> bytes:
+    """The file's content. Raises ``error`` when it is missing, cannot be read or is over ``limit`` bytes."""
     try:
         with path.open("rb") as file:
             data = file.read(limit + 1)
@@ -38,6 +38,12 @@ def read_text(path: Path, what: str, limit: int = SMALL_BYTES, error: Error = In
     if len(data) > limit:
         size = f"{limit >> 20} MiB" if limit >= 1 << 20 else f"{limit >> 10} KiB"
         raise error(f"over {size}, too large for {what.removeprefix('the ')}", path)
+    return data
+
+
+def read_text(path: Path, what: str, limit: int = SMALL_BYTES, error: Error = InputError) -> str:
+    """The file's text, UTF-8 without NUL. Raises ``error`` when it is missing, over ``limit`` bytes or not text."""
+    data = read_bytes(path, what, limit, error)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -85,9 +85,11 @@ def method_spec(request: RunRequest) -> MethodSpec:
 
 def check_camera(option: str, spec: MethodSpec) -> None:
     """Raise unless the option names a camera kind the method takes; calibration files are judged when read."""
-    kind = option.partition(":")[0]
-    if "." in kind:
+    from panobench.cameras.calibration import calibration_file
+
+    if calibration_file(option) is not None:
         return
+    kind = option.partition(":")[0]
     registry().get(CameraSpec, kind)
     check_kind(kind, spec)
 
@@ -117,8 +119,11 @@ def _through_camera(request: RunRequest) -> FrameSequence:
     """The sequence itself if its camera is the one asked for, else converted from its full resolution."""
     # A kind of camera alone may be the dataset's own; anything more has to be made.
     kind = registry().get(DatasetSpec, request.dataset).camera
-    own = request.fov is None and not set(":.") & set(request.camera) and request.camera == (kind or request.camera)
-    if own:
+    if (
+        request.fov is None
+        and request.camera in registry().specs(CameraSpec)
+        and request.camera == (kind or request.camera)
+    ):
         source = open_source(request, request.width)
         if source.camera.kind == request.camera:
             return source

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,17 +57,19 @@ def parse_camera_option(
     width: int | None = None,
     fov: str | float | tuple[float, float] | None = None,
 ) -> CameraChoice:
-    """What `--camera` means for a source: MODEL, MODEL:VIEW or a calibration file.
+    """What `--camera` means for a source: MODEL, MODEL:VIEW or a calibration file (FILE#CAMERA for one of several).
 
     VIEW is front, left, right, back, up, down or LON,LAT in degrees, relative to the upright source; ``width`` in
     pixels defaults to what keeps the source's angular resolution in the middle; ``fov`` is "120" or "120x60" degrees.
     The source's own model without a view, width or field of view is the source itself.
     Raises UnknownNameError, UsageError, UnsupportedError; CalibrationError for a file that cannot be used.
     """
+    from panobench.cameras.calibration import calibration_file
+
     angles = parse_fov(fov)
-    path = Path(option)
-    if path.suffix.lower() in {".yaml", ".yml", ".txt"}:
-        return _from_file(path, source, width, angles)
+    file = calibration_file(option)
+    if file is not None:
+        return _from_file(file, source, width, angles)
     model, _, view = option.partition(":")
     maker = _MAKERS.get(model)
     if maker is None:
@@ -167,14 +168,17 @@ def _registered(model: str, source: Camera, width: int | None) -> CameraChoice:
     return CameraChoice(source if width is None else source.scaled(width), np.eye(3), model)
 
 
-def _from_file(path: Path, source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> CameraChoice:
-    from panobench.cameras.calibration import read_calibration
+def _from_file(file: str, source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> CameraChoice:
+    from panobench.cameras.calibration import read_calibration, split_choice
 
     if fov is not None:
         raise UsageError("a field of view cannot be given together with a calibration file")
-    camera = read_calibration(path)
+    camera = read_calibration(file)
+    path, chosen = split_choice(file)
     R = upright_rotation(camera).T @ upright_rotation(source)
-    return CameraChoice(camera if width is None else camera.scaled(width), R, path.stem)
+    return CameraChoice(
+        camera if width is None else camera.scaled(width), R, f"{path.stem}-{chosen}" if chosen else path.stem
+    )
 
 
 _MAKERS: dict[str, Callable[[Camera, int | None, tuple[float, float | None] | None], Camera]] = {

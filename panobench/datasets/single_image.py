@@ -14,8 +14,6 @@ from panobench.datasets.open import open_sequence
 from panobench.datasets.video import VIDEO_SUFFIXES
 from panobench.errors import DatasetError, UnknownNameError, UsageError
 
-#: Calibration files are recognised by these endings, as everywhere.
-_CALIBRATIONS = (".yaml", ".yml", ".txt")
 _SIMPLE = ("erp", "pal", "cubemap", "pinhole:DEGREES", "fisheye:DEGREES")
 
 
@@ -39,7 +37,7 @@ def camera_of_image(option: str | None, size: tuple[int, int], path: Path) -> Ca
 
     None: erp for an image twice as wide as high. Raises UsageError, UnknownNameError or CalibrationError.
     """
-    from panobench.cameras.calibration import builtin_calibration, read_calibration, require_size
+    from panobench.cameras.calibration import builtin_calibration, calibration_file, read_calibration, require_size
 
     width, height = size
     if option is None:
@@ -49,8 +47,8 @@ def camera_of_image(option: str | None, size: tuple[int, int], path: Path) -> Ca
                 f"({', '.join(_SIMPLE)}, or a calibration file)"
             )
         option = "erp"
-    if option.lower().endswith(_CALIBRATIONS):
-        camera = read_calibration(Path(option))
+    if calibration_file(option) is not None:
+        camera = read_calibration(option)
         require_size(camera, width, height, option)
         return camera
     model, _, argument = option.partition(":")

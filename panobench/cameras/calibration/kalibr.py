@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from panobench.cameras.base import Array, Camera
+from panobench.cameras.calibration.choice import choose, doubts, others
 from panobench.cameras.calibration.result import Calibration, ReadOptions
 from panobench.cameras.calibration.text import Table, parse_yaml, read_text, write_text
 from panobench.cameras.double_sphere import DoubleSphereCamera
@@ -18,7 +19,7 @@ from panobench.cameras.eucm import EucmCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.mei import MeiCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.errors import CalibrationError, UnknownNameError, UnsupportedError
+from panobench.errors import CalibrationError, UnsupportedError
 from panobench.geometry import invert_pose, renormalise
 from panobench.reading import number_array
 
@@ -26,7 +27,8 @@ NAME = "kalibr"
 
 
 def recognise(path: Path, text: str) -> bool:
-    return "camera_model:" in text and "intrinsics:" in text
+    """EuRoC's sensor.yaml has these keys, too, at its top."""
+    return "camera_model:" in text and "intrinsics:" in text and "sensor_type:" not in text
 
 
 def read(path: Path, options: ReadOptions) -> Calibration:
@@ -35,17 +37,15 @@ def read(path: Path, options: ReadOptions) -> Calibration:
     names = [k for k, v in chain.items() if isinstance(v, Table) and "camera_model" in v]
     if not names:
         raise chain.error("no camera (cam0, ...) with a camera_model")
-    if options.camera is not None and options.camera not in names:
-        raise CalibrationError(str(UnknownNameError("camera", options.camera, names)), path)
-    name = options.camera or names[0]
+    name = choose(path, options.camera, names, "cam")
     table = chain.table(name)
-    notes = [f"camera {name}" + (f"; the file also has {', '.join(n for n in names if n != name)}" * (len(names) > 1))]
     try:
         camera = _camera(table)
     except CalibrationError as error:
         raise (error if error.path else table.error(str(error))) from None
     offset = table.number("timeshift_cam_imu") if "timeshift_cam_imu" in table else None
-    return Calibration(camera, NAME, notes, _body_T_cam(table), offset)
+    doubt = doubts(path, options.camera, name, names)
+    return Calibration(camera, NAME, others(name, names), _body_T_cam(table), offset, doubts=doubt)
 
 
 def _camera(table: Table) -> Camera:

@@ -14,6 +14,7 @@ class Calibration:
     notes:         what was found or decided while reading (orders, signs, ignored parts), one line each.
     body_T_cam:    (4, 4) pose of the camera on the body (IMU axes), if the file has one.
     time_offset_s: IMU time minus camera time of the same instant, if the file has one.
+    doubts:        what was assumed for want of a word in the file, and may be wrong: the user is told.
     """
 
     camera: Camera
@@ -21,6 +22,7 @@ class Calibration:
     notes: list[str] = field(default_factory=list)
     body_T_cam: Array | None = None
     time_offset_s: float | None = None
+    doubts: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

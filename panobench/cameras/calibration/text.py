@@ -71,9 +71,14 @@ def as_number(value: Any, error: Callable[[str], CalibrationError]) -> float:
     return number
 
 
-def read_text(path: Path) -> str:
+def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
+    """The file's content, whatever it is. Raises CalibrationError when missing or too large."""
+    return reading.read_bytes(path, "the calibration file", limit, CalibrationError)
+
+
+def read_text(path: Path, limit: int = MAX_BYTES) -> str:
     """The file's text (UTF-8). Raises CalibrationError when missing, too large or not text."""
-    text = reading.read_text(path, "the calibration file", MAX_BYTES, CalibrationError)
+    text = reading.read_text(path, "the calibration file", limit, CalibrationError)
     if not text.strip():
         raise CalibrationError("the file is empty", path)
     return text
@@ -107,6 +112,7 @@ def _construct_table(loader: _Loader, node: yaml.Node) -> Table:
 
 _Loader.add_constructor("tag:yaml.org,2002:map", _construct_table)
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _construct_table)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-nd-matrix", _construct_table)
 
 
 def parse_yaml(text: str, path: Path) -> Table:

@@ -1,0 +1,97 @@
+"""The camera in a transforms.json of nerfstudio or instant-ngp; pixel centres at 0.5, as here.
+
+https://docs.nerf.studio/quickstart/data_conventions.html. Poses are read by the dataset and by trajectory readers.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from panobench.cameras.base import Camera
+from panobench.cameras.calibration.result import Calibration, ReadOptions
+from panobench.cameras.calibration.tables import as_table
+from panobench.cameras.calibration.text import Table
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.kannala_brandt import KannalaBrandtCamera
+from panobench.cameras.pinhole import PinholeCamera
+from panobench.errors import CalibrationError, UnknownNameError
+from panobench.reading import parse_json, read_text
+
+NAME = "nerfstudio"
+#: A transforms.json has every frame's pose.
+MAX_BYTES = 64 << 20
+_PERSPECTIVE = ("PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "RADIAL", "SIMPLE_RADIAL", "OPENCV")
+_FISHEYE, _PANORAMA = ("OPENCV_FISHEYE",), ("EQUIRECTANGULAR",)
+_INTRINSICS = ("camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
+
+
+def recognise(path: Path, text: str) -> bool:
+    return '"frames"' in text or '"fl_x"' in text or '"camera_angle_x"' in text
+
+
+def read(path: Path, options: ReadOptions) -> Calibration:
+    """Raises CalibrationError, also where frames have cameras of their own that differ."""
+    text = read_text(path, "the calibration file", MAX_BYTES, CalibrationError)
+    values = parse_json(text, path, CalibrationError)
+    if options.camera is not None:
+        raise CalibrationError(f"the file has one camera, no '{options.camera}'", path)
+    if not isinstance(values, dict):
+        raise CalibrationError("a table of values is expected", path)
+    return Calibration(camera_of(values, path), NAME)
+
+
+def camera_of(values: dict[str, Any], path: Path, size: tuple[int, int] | None = None) -> Camera:
+    """The camera of the file's content; ``size`` (w, h) of the images where it has none. Raises CalibrationError."""
+    table = as_table({**_shared(values, path), **{k: v for k, v in values.items() if k != "frames"}}, path)
+    if size is not None:
+        table = as_table({"w": size[0], "h": size[1], **table}, path)
+    try:
+        return _camera(table)
+    except CalibrationError as error:
+        raise (error if error.path else CalibrationError(str(error), path)) from None
+
+
+def _shared(values: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Intrinsics that stand with the frames, if they are the same for all."""
+    frames = values.get("frames")
+    frames = [f for f in frames if isinstance(f, dict)] if isinstance(frames, list) else []
+    own = [{k: f[k] for k in _INTRINSICS if k in f} for f in frames]
+    if any(found != own[0] for found in own):
+        raise CalibrationError("the frames have different cameras; one camera for all is read", path)
+    return own[0] if own else {}
+
+
+def _camera(table: Table) -> Camera:
+    model = str(table.get("camera_model", "OPENCV_FISHEYE" if table.get("is_fisheye") else "PERSPECTIVE")).upper()
+    known = (*_PERSPECTIVE, *_FISHEYE, *_PANORAMA)
+    if model not in known:
+        raise table.error(str(UnknownNameError("camera_model", model, known)))
+    width, height = _whole(table, "w"), _whole(table, "h")
+    if model in _PANORAMA:
+        return ErpCamera(width, height)
+    if "fl_x" in table or "camera_angle_x" not in table:
+        fx = table.number("fl_x")
+    else:
+        angle = table.number("camera_angle_x")
+        if not 0 < angle < np.pi:
+            raise table.error(f"'camera_angle_x' must lie between 0 and pi, not {angle:g}")
+        fx = width / 2 / np.tan(angle / 2)
+    fy = table.number("fl_y", fx)
+    focal = (width, height, fx, fy, table.number("cx", width / 2), table.number("cy", height / 2))
+    k1, k2, k3, k4, p1, p2 = (table.number(k, 0.0) for k in ("k1", "k2", "k3", "k4", "p1", "p2"))
+    if model in _FISHEYE:
+        return KannalaBrandtCamera(*focal, k=(k1, k2, k3, k4))
+    if k4:
+        raise table.error("a fourth radial coefficient 'k4' is not read for perspective cameras")
+    lens = (k1, k2, p1, p2, k3)
+    return PinholeCamera(*focal, distortion=lens if any(lens) else ())
+
+
+def _whole(table: Table, key: str) -> int:
+    value = table.number(key)
+    if value != int(value):
+        raise table.error(f"'{key}' must be a whole number, not {value:g}")
+    return int(value)
