@@ -109,6 +109,22 @@ def test_tables_and_suites_that_pages_name_are_there(page: Path) -> None:
     assert [name for name in named if not (ROOT / name).is_file() and "paper-" not in name] == []
 
 
+@pytest.mark.parametrize("page", [*PAGES, *OUTSIDE[:2]], ids=lambda p: str(p.relative_to(ROOT)))
+def test_lines_fit_a_narrow_editor(page: Path) -> None:
+    """Tables and code are exempt: their lines cannot always be broken."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    assert [line for line in text.split("\n") if len(line) > 120 and not line.startswith(("|", "    "))] == []
+
+
+def test_the_guide_to_the_code_names_files_that_exist() -> None:
+    """Files in `CONTRIBUTING.md` are below the package or the repository; NAME and * are the reader's to fill in."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = {name for name in re.findall(r"`([\w./*-]+)`", text) if "/" in name or name.endswith((".py", ".md"))}
+    known = {name for name in named if not re.search(r"NAME|\*", name)}
+    assert len(known) > 20
+    assert [n for n in sorted(known) if not (ROOT / n).exists() and not (ROOT / "panobench" / n).exists()] == []
+
+
 def test_the_example_report_is_the_only_rendered_page_and_small() -> None:
     """Rendered pages weigh megabytes and change whole: `reports/README.md` says how to make them."""
     done = subprocess.run(["git", "ls-files", "*.html"], cwd=ROOT, capture_output=True, text=True)
