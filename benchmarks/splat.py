@@ -26,7 +26,7 @@ import torch
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.geometry import fibonacci_sphere, invert_pose, make_pose, quat_from_matrix, so3_exp
+from panobench.geometry import fibonacci_sphere, invert_pose, make_pose, quaternion_from_matrix, so3_exp
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.render import Renderer
 from panobench.splat.torch_reference import render_reference
@@ -74,7 +74,7 @@ def room(n: int, seed: int = 0) -> GaussianMap:
     across = np.sqrt(4 * np.pi / n) * dist * 0.5
     scales = np.repeat(across[:, None], 3, axis=1) * rng.uniform(0.7, 1.3, size=(n, 3))
     scales[np.arange(n), wall] *= 0.1
-    tilt = quat_from_matrix(so3_exp(rng.normal(0, 0.1, size=(n, 3))))[:, [3, 0, 1, 2]]
+    tilt = quaternion_from_matrix(so3_exp(rng.normal(0, 0.1, size=(n, 3))))
     parameters = (
         d * dist[:, None],
         np.log(scales),

@@ -1,11 +1,13 @@
 """SO(3), SE(3), Sim(3) and the unit sphere. float64, shapes (..., 3), (..., 3, 3), (..., 4, 4).
 
-Poses are camera-to-world ``T_wc``; quaternions are (x, y, z, w) as in TUM files.
+Poses are camera-to-world ``T_wc``. Quaternions are (w, x, y, z), real part first, everywhere in the package; files that
+store (x, y, z, w) are reordered where they are read and written.
 Formulas: Sola et al., "A micro Lie theory for state estimation in robotics" (2018).
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,11 +47,9 @@ def so3_exp(w: ArrayLike) -> Array:
 
 def so3_log(R: ArrayLike) -> Array:
     """Rotation matrix (..., 3, 3) -> rotation vector (..., 3), angle in [0, pi]."""
-    q = quat_from_matrix(R)
-    q = np.where(q[..., 3:] < 0, -q, q)
-    v = q[..., :3]
+    q = quaternion_from_matrix(R)
+    w, v = q[..., 0], q[..., 1:]
     n = np.linalg.norm(v, axis=-1)
-    w = q[..., 3]
     small = n < 1e-9
     scale = np.where(small, 2.0 / np.maximum(w, 1e-12), 2.0 * np.arctan2(n, w) / np.where(small, 1.0, n))
     return np.asarray(v * scale[..., None])
@@ -107,26 +107,43 @@ def renormalise(T: ArrayLike) -> Array:
     return T
 
 
-def quat_from_matrix(R: ArrayLike) -> Array:
-    """Rotation matrix (..., 3, 3) -> unit quaternion (..., 4) as (x, y, z, w), w >= 0 where possible."""
+def quaternion_from_matrix(R: ArrayLike) -> Array:
+    """Rotation matrix (..., 3, 3) -> unit quaternion (..., 4) as (w, x, y, z) with w >= 0."""
     from scipy.spatial.transform import Rotation
 
     R = np.asarray(R, dtype=np.float64)
-    q = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat().reshape(*R.shape[:-2], 4)
-    return np.where(q[..., 3:] < 0, -q, q)
+    q = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat()[:, [3, 0, 1, 2]].reshape(*R.shape[:-2], 4)
+    return np.where(q[..., :1] < 0, -q, q)
 
 
-def matrix_from_quat(q: ArrayLike) -> Array:
-    """Quaternion (..., 4) as (x, y, z, w), normalised here -> rotation matrix (..., 3, 3)."""
-    unit: Array = np.asarray(q, dtype=np.float64)
-    unit = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
-    x, y, z, w = unit[..., 0], unit[..., 1], unit[..., 2], unit[..., 3]
+def matrix_from_quaternion(q: ArrayLike) -> Array:
+    """Quaternion (..., 4) as (w, x, y, z), of any length but zero -> rotation matrix (..., 3, 3)."""
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    norm = np.sqrt(x * x + y * y + z * z + w * w)
+    w, x, y, z = w / norm, x / norm, y / norm, z / norm
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return np.stack([np.stack(r, axis=-1) for r in rows], axis=-2)
+
+
+def quat_from_matrix(R: ArrayLike) -> Array:
+    """Deprecated: ``quaternion_from_matrix`` as (x, y, z, w), which plugins for contract 1.0 may use."""
+    _warn_of_order("quat_from_matrix", "quaternion_from_matrix")
+    return quaternion_from_matrix(R)[..., [1, 2, 3, 0]]
+
+
+def matrix_from_quat(q: ArrayLike) -> Array:
+    """Deprecated: ``matrix_from_quaternion`` of (x, y, z, w), which plugins for contract 1.0 may use."""
+    _warn_of_order("matrix_from_quat", "matrix_from_quaternion")
+    return matrix_from_quaternion(np.asarray(q, dtype=np.float64)[..., [3, 0, 1, 2]])
+
+
+def _warn_of_order(old: str, new: str) -> None:
+    message = f"{old} uses (x, y, z, w) and goes with contract 2: use {new}, which uses (w, x, y, z)"
+    warnings.warn(message, DeprecationWarning, stacklevel=3)
 
 
 @dataclass(frozen=True)

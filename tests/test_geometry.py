@@ -68,15 +68,26 @@ def test_everything_broadcasts() -> None:
     assert T[1, 3] == pytest.approx(g.se3_exp(xi[1, 3]))
     assert g.invert_pose(T) @ T == pytest.approx(np.broadcast_to(np.eye(4), T.shape), abs=1e-12)
     assert g.se3_log(T).shape == (2, 5, 6)
-    assert g.quat_from_matrix(T[..., :3, :3]).shape == (2, 5, 4)
+    assert g.quaternion_from_matrix(T[..., :3, :3]).shape == (2, 5, 4)
 
 
 def test_quaternions_match_scipy_and_round_trip() -> None:
     q = np.random.default_rng(1).normal(size=(50, 4))
-    assert g.matrix_from_quat(q) == pytest.approx(Rotation.from_quat(q).as_matrix(), abs=1e-12)
-    back = g.quat_from_matrix(g.matrix_from_quat(q))
+    xyzw = q[:, [1, 2, 3, 0]]
+    assert g.matrix_from_quaternion(q) == pytest.approx(Rotation.from_quat(xyzw).as_matrix(), abs=1e-12)
+    back = g.quaternion_from_matrix(g.matrix_from_quaternion(q))
     unit = q / np.linalg.norm(q, axis=1, keepdims=True)
-    assert back == pytest.approx(np.where(unit[:, 3:] < 0, -unit, unit), abs=1e-12)
+    assert back == pytest.approx(np.where(unit[:, :1] < 0, -unit, unit), abs=1e-12)
+
+
+def test_the_names_of_contract_1_0_still_mean_xyzw() -> None:
+    q = np.random.default_rng(2).normal(size=(5, 4))
+    with pytest.warns(DeprecationWarning, match="matrix_from_quaternion"):
+        R = g.matrix_from_quat(q)
+    assert pytest.approx(Rotation.from_quat(q).as_matrix(), abs=1e-12) == R
+    with pytest.warns(DeprecationWarning, match="quaternion_from_matrix"):
+        back = g.quat_from_matrix(R)
+    assert np.abs(np.sum(back * q, axis=1)) == pytest.approx(np.linalg.norm(q, axis=1))
 
 
 def test_renormalise_stops_drift() -> None:

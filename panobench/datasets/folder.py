@@ -184,7 +184,7 @@ def _read_novel(folder: Path, camera: Camera) -> list[NovelView]:
         images.append(_image_inside(folder, row.fields[0], path, row.line))
         numbers.append(parse_floats(row, row.fields[1:], path, expected))
     values = np.array(numbers).reshape(-1, 7)
-    poses = poses_from_rows(values[:, :3], values[:, 3:], path, [row.line for row in rows])
+    poses = poses_from_rows(values, path, [row.line for row in rows])
     check_sizes(images, (camera.width, camera.height))
     return [NovelView(p.stem, read_image(p), camera, T) for p, T in zip(images, poses)]
 

@@ -26,7 +26,7 @@ from panobench.datasets.palvio_calibration import PalvioCalibration, find_calibr
 from panobench.datasets.trajectory_io import check_times, read_tum
 from panobench.datasets.trajectory_match import interpolate_poses
 from panobench.errors import DatasetError
-from panobench.geometry import make_pose, matrix_from_quat
+from panobench.geometry import make_pose, matrix_from_quaternion
 from panobench.types import Imu, Trajectory
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -148,7 +148,7 @@ def _contents(path: Path, version: tuple[int, int], wanted: _Wanted) -> _Content
     if len(samples):
         imu = Imu(samples[:, 0] - wanted.time_offset_s, samples[:, 1:4], samples[:, 4:7])
     if len(poses):
-        body = Trajectory(poses[:, 0], make_pose(matrix_from_quat(poses[:, 4:8]), poses[:, 1:4]))
+        body = Trajectory(poses[:, 0], make_pose(matrix_from_quaternion(poses[:, 4:8]), poses[:, 1:4]))
     return _Contents(where, times, imu, body, dropped)
 
 
@@ -171,7 +171,7 @@ def _imu_row(m: Any) -> tuple[float, ...]:
 
 def _pose_row(m: Any) -> tuple[float, ...]:
     p, q = m.pose.pose.position, m.pose.pose.orientation
-    return (_stamp(m), p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+    return (_stamp(m), p.x, p.y, p.z, q.w, q.x, q.y, q.z)
 
 
 def _checked_rows(

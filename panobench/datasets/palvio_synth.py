@@ -21,7 +21,7 @@ from panobench.cameras.views import upright_rotation
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.palvio_calibration import OVERRIDE, PalvioCalibration, published_calibration
 from panobench.errors import UsageError
-from panobench.geometry import invert_pose, make_pose, quat_from_matrix
+from panobench.geometry import invert_pose, make_pose, quaternion_from_matrix
 from panobench.types import Trajectory
 from panobench.writing import write_whole, writing
 
@@ -210,7 +210,7 @@ class _Messages:
         return self._types["geometry_msgs/msg/Vector3"](x=float(v[0]), y=float(v[1]), z=float(v[2]))
 
     def _quaternion(self, R: Array) -> Any:
-        x, y, z, w = (float(c) for c in quat_from_matrix(R))
+        w, x, y, z = (float(c) for c in quaternion_from_matrix(R))
         return self._types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
     def image(self, time: float, seq: int, grey: NDArray[np.uint8]) -> Any:

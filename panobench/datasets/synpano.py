@@ -58,7 +58,7 @@ def read_pose_table(path: Path) -> PoseTable:
         numbers.append(parse_floats(row, row.fields[2:], path, _COLUMNS))
     lines = [row.line for row in rows]
     values = np.array(numbers)
-    return PoseTable(np.array(ids), names, poses_from_rows(values[:, :3], values[:, 3:], path, lines), lines)
+    return PoseTable(np.array(ids), names, poses_from_rows(values, path, lines), lines)
 
 
 def _is_header(fields: list[str]) -> bool:

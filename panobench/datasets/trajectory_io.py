@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from panobench.errors import DatasetError
-from panobench.geometry import make_pose, matrix_from_quat, quat_from_matrix, renormalise
+from panobench.geometry import make_pose, matrix_from_quaternion, quaternion_from_matrix, renormalise
 from panobench.types import Trajectory
 
 Array = NDArray[np.float64]
@@ -128,14 +128,23 @@ def _seconds(time: float) -> str:
     return f"{time:.9f}".rstrip("0").rstrip(".")
 
 
-def poses_from_rows(positions: Array, quaternions: Array, path: Path, lines: list[int]) -> Array:
-    """Positions (N, 3) and quaternions (N, 4) as (x, y, z, w) -> poses (N, 4, 4). The norm must be 1 within 5%."""
-    norm = np.linalg.norm(quaternions, axis=-1)
+def poses_from_rows(rows: Array, path: Path, lines: list[int]) -> Array:
+    """Rows ``x y z qx qy qz qw`` (N, 7), the order in which files store poses -> poses (N, 4, 4).
+
+    Raises DatasetError with the line, of ``lines`` (N), whose quaternion's norm is not 1 within 5%.
+    """
+    norm = np.linalg.norm(rows[:, 3:], axis=-1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > 0.05)
     if len(bad):
         i = int(bad[0])
         raise DatasetError(f"the quaternion has norm {norm[i]:.4g}, not 1", path, line=lines[i])
-    return make_pose(matrix_from_quat(quaternions), positions)
+    return make_pose(matrix_from_quaternion(rows[:, [6, 3, 4, 5]]), rows[:, :3])
+
+
+def rows_from_poses(T_wc: Array) -> Array:
+    """Poses (N, 4, 4) -> rows ``x y z qx qy qz qw`` (N, 7), the order in which files store poses."""
+    q = quaternion_from_matrix(T_wc[:, :3, :3])
+    return np.concatenate([T_wc[:, :3, 3], q[:, [1, 2, 3, 0]]], axis=1)
 
 
 def read_tum(path: Path) -> Trajectory:
@@ -145,15 +154,14 @@ def read_tum(path: Path) -> Trajectory:
     if not len(table):
         raise DatasetError("the trajectory has no pose", path)
     check_times(table[:, 0], path, lines)
-    return Trajectory(table[:, 0].copy(), poses_from_rows(table[:, 1:4], table[:, 4:8], path, lines))
+    return Trajectory(table[:, 0].copy(), poses_from_rows(table[:, 1:8], path, lines))
 
 
 def tum_text(trajectory: Trajectory) -> str:
     """The content of a TUM file: times to the nanosecond, the rest exact to float64 round trip."""
-    q = quat_from_matrix(trajectory.T_wc[:, :3, :3])
     lines = ["# time x y z qx qy qz qw (camera-to-world)"]
-    for t, p, r in zip(trajectory.times, trajectory.positions, q):
-        lines.append(" ".join([f"{t:.9f}", *(f"{x:.12g}" for x in p), *(f"{x:.15g}" for x in r)]))
+    for t, row in zip(trajectory.times, rows_from_poses(trajectory.T_wc)):
+        lines.append(" ".join([f"{t:.9f}", *(f"{x:.12g}" for x in row[:3]), *(f"{x:.15g}" for x in row[3:])]))
     return "\n".join(lines) + "\n"
 
 
@@ -188,5 +196,4 @@ def read_euroc_csv(path: Path) -> Trajectory:
         raise DatasetError("the trajectory has no pose", path)
     times = table[:, 0] * 1e-9
     check_times(times, path, lines)
-    q = np.roll(table[:, 4:8], -1, axis=1)
-    return Trajectory(times, poses_from_rows(table[:, 1:4], q, path, lines))
+    return Trajectory(times, poses_from_rows(table[:, [1, 2, 3, 5, 6, 7, 4]], path, lines))

@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.datasets.checksums import sha256_bytes, sha256_file
 from panobench.datasets.images import encode_depth, encode_image
-from panobench.datasets.trajectory_io import tum_text
+from panobench.datasets.trajectory_io import rows_from_poses, tum_text
 from panobench.errors import DatasetError, UsageError
-from panobench.geometry import quat_from_matrix
 from panobench.types import Imu, NovelView, Trajectory
 from panobench.writing import writing
 
@@ -257,8 +256,8 @@ class SequenceWriter:
                 raise ValueError(f"novel view '{view.name}' is {view.image.shape}, not of the sequence's camera")
             name = f"novel/{k:03d}{self._suffix}"
             files[name] = encode_image(view.image, self._suffix)
-            q = quat_from_matrix(view.T_wc[:3, :3])
-            rows.append(",".join([name, *(f"{x:.15g}" for x in (*view.T_wc[:3, 3], *q))]))
+            row = rows_from_poses(view.T_wc[None])[0]
+            rows.append(",".join([name, *(f"{x:.15g}" for x in row)]))
         files["novel.csv"] = ("\n".join(rows) + "\n").encode()
         return files
 

@@ -42,7 +42,7 @@ def _read_tum_ns(path: Path) -> Trajectory:
     table, lines = table[last], [line for line, keep in zip(lines, last) if keep]
     times = table[:, 0] * 1e-9
     io.check_times(times, path, lines)
-    return Trajectory(times, io.poses_from_rows(table[:, 1:4], table[:, 4:8], path, lines))
+    return Trajectory(times, io.poses_from_rows(table[:, 1:8], path, lines))
 
 
 READERS: dict[str, Callable[[Path], Trajectory]] = {

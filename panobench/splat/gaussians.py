@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import Sim3, matrix_from_quat, quat_from_matrix
+from panobench.geometry import Sim3, matrix_from_quaternion, quaternion_from_matrix
 
 F32 = NDArray[np.float32]
 
@@ -63,12 +63,11 @@ class GaussianMap:
 
     def transformed(self, transform: Sim3) -> GaussianMap:
         """The map moved by a similarity."""
-        q = self.quats[:, [1, 2, 3, 0]]
-        R = transform.R @ matrix_from_quat(q)
+        R = transform.R @ matrix_from_quaternion(self.quats)
         return GaussianMap(
             transform.apply_points(self.means).astype(np.float32),
             self.log_scales + np.float32(np.log(transform.scale)),
-            quat_from_matrix(R)[:, [3, 0, 1, 2]].astype(np.float32),
+            quaternion_from_matrix(R).astype(np.float32),
             self.opacity_logits,
             self.colours,
         )

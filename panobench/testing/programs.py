@@ -6,7 +6,7 @@ import stat
 import sys
 from pathlib import Path
 
-from panobench.geometry import quat_from_matrix
+from panobench.geometry import quaternion_from_matrix
 from panobench.types import Trajectory
 
 
@@ -20,8 +20,8 @@ def write_program(path: Path, code: str) -> Path:
 
 def pose_rows(trajectory: Trajectory, order: str = "xyzw") -> list[tuple[float, ...]]:
     """(time, x, y, z, quaternion in ``order``) per pose, for stand-ins to print in their program's format."""
-    quaternions = quat_from_matrix(trajectory.T_wc[:, :3, :3])
-    columns = ["xyzw".index(letter) for letter in order]
+    quaternions = quaternion_from_matrix(trajectory.T_wc[:, :3, :3])
+    columns = ["wxyz".index(letter) for letter in order]
     return [
         (float(t), *(float(v) for v in p), *(float(q[c]) for c in columns))
         for t, p, q in zip(trajectory.times, trajectory.positions, quaternions)

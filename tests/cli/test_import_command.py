@@ -12,7 +12,7 @@ import pytest
 from panobench.cli.import_run import score_import
 from panobench.cli.main import run as panobench
 from panobench.datasets.trajectory_io import write_tum
-from panobench.geometry import Sim3, invert_pose, quat_from_matrix, so3_exp
+from panobench.geometry import Sim3, invert_pose, quaternion_from_matrix, so3_exp
 from panobench.testing import TinySequence
 from panobench.types import Trajectory
 
@@ -78,10 +78,10 @@ def test_a_metric_trajectory_is_scored_without_scale_too(root: Path, tmp_path: P
 def test_kitti_and_euroc_are_told_apart(root: Path, tmp_path: Path, truth: Trajectory) -> None:
     them = moved(truth)
     np.savetxt(tmp_path / "kitti.txt", them.T_wc[:, :3].reshape(-1, 12))
-    q = quat_from_matrix(them.T_wc[:, :3, :3])
+    q = quaternion_from_matrix(them.T_wc[:, :3, :3])
     rows = ["#timestamp, x, y, z, qw, qx, qy, qz"]
     rows += [
-        f"{round(t * 1e9)},{p[0]},{p[1]},{p[2]},{r[3]},{r[0]},{r[1]},{r[2]}"
+        f"{round(t * 1e9)},{p[0]},{p[1]},{p[2]},{r[0]},{r[1]},{r[2]},{r[3]}"
         for t, p, r in zip(them.times, them.positions, q)
     ]
     (tmp_path / "euroc.csv").write_text("\n".join(rows))

@@ -7,7 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from panobench.geometry import make_pose, quat_from_matrix, so3_exp
+from panobench.datasets.trajectory_io import rows_from_poses
+from panobench.geometry import make_pose, so3_exp
 
 SIZE = (64, 32)
 
@@ -37,7 +38,7 @@ def poses(n: int) -> np.ndarray:
 
 
 def pose_row(T: np.ndarray) -> str:
-    return " ".join(f"{x:.9f}" for x in (*T[:3, 3], *quat_from_matrix(T[:3, :3])))
+    return " ".join(f"{x:.9f}" for x in rows_from_poses(T[None])[0])
 
 
 def synpano_scene(

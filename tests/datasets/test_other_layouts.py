@@ -14,7 +14,7 @@ from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.datasets.open import open_dataset, open_sequence
 from panobench.datasets.vo360 import left_to_right_handed
 from panobench.errors import CalibrationError, DatasetError
-from panobench.geometry import invert_pose, make_pose, quat_from_matrix, so3_exp
+from panobench.geometry import invert_pose, make_pose, quaternion_from_matrix, so3_exp
 
 BODY_T_CAM = make_pose(so3_exp([0.1, -0.2, 0.3]), [0.05, 0.01, -0.02])
 
@@ -159,7 +159,7 @@ def tum_vi(folder: Path, n: int = 4) -> tuple[np.ndarray, KannalaBrandtCamera]:
     truth = ["#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"]
     for k in range(-2, 40):
         T = body(k * 0.008)
-        x, y, z, w = quat_from_matrix(T[:3, :3])
+        w, x, y, z = quaternion_from_matrix(T[:3, :3])
         truth.append(",".join(map(str, (start + k * 8_000_000, *T[:3, 3], w, x, y, z))))
     imu = ["#t,w,w,w,a,a,a", f"{start},1,2,3,4,5,6", f"{start + 5_000_000},1,2,3,4,5,6"]
     for name, lines in [("mocap0", truth), ("imu0", imu)]:

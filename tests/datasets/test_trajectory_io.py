@@ -9,7 +9,7 @@ from dataset_samples import poses
 from panobench.datasets.trajectory_io import read_euroc_csv, read_kitti, read_tum, write_tum
 from panobench.datasets.trajectory_match import interpolate_poses, match_to_times
 from panobench.errors import DatasetError
-from panobench.geometry import make_pose, quat_from_matrix, so3_exp
+from panobench.geometry import make_pose, quaternion_from_matrix, so3_exp
 from panobench.types import Trajectory
 
 
@@ -67,7 +67,7 @@ def test_kitti(tmp_path: Path) -> None:
 
 def test_euroc_csv_has_the_real_part_first(tmp_path: Path) -> None:
     T = poses(2)
-    x, y, z, w = quat_from_matrix(T[1, :3, :3])
+    w, x, y, z = quaternion_from_matrix(T[1, :3, :3])
     path = tmp_path / "data.csv"
     path.write_text(
         "#timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z, v\n1000000000,0,0,0,1,0,0,0,5\n"

@@ -6,7 +6,7 @@ import pytest
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.datasets.rooms import RoomsDataset
-from panobench.geometry import invert_pose, make_pose, matrix_from_quat
+from panobench.geometry import invert_pose, make_pose, matrix_from_quaternion
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.detail import EVEN, LEVELS, SeedPattern
 from panobench.methods.panogs.mapper import Mapper
@@ -76,7 +76,7 @@ def disc(sigma: float = 0.2) -> GaussianMap:
 def test_halves_have_the_moments_of_the_whole_and_lie_in_its_plane() -> None:
     whole, two = disc(), halves(disc(), np.array([0]))
     assert len(two) == 2
-    R = matrix_from_quat(whole.quats[:, [1, 2, 3, 0]])[0]
+    R = matrix_from_quaternion(whole.quats)[0]
     offsets = (two.means - whole.means) @ R
     np.testing.assert_allclose(two.means.mean(axis=0), whole.means[0], atol=1e-6)
     np.testing.assert_allclose(offsets[:, 1:], 0, atol=1e-6)

@@ -21,7 +21,7 @@ from panobench.cameras.eucm import EucmCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.errors import CalibrationError
-from panobench.geometry import make_pose, matrix_from_quat
+from panobench.geometry import make_pose, matrix_from_quaternion
 
 NAME = "basalt"
 
@@ -81,7 +81,7 @@ def _pose(values: Table, index: int) -> Array | None:
     if not isinstance(poses, list) or index >= len(poses) or not isinstance(poses[index], dict):
         return None
     table = as_table(poses[index], values.path or Path())
-    q = np.array([table.number(k) for k in ("qx", "qy", "qz", "qw")])
+    q = np.array([table.number(k) for k in ("qw", "qx", "qy", "qz")])
     if abs(np.linalg.norm(q) - 1) > 0.05:
         raise table.error(f"the quaternion of 'T_imu_cam' has norm {np.linalg.norm(q):.4g}, not 1")
-    return make_pose(matrix_from_quat(q), np.array([table.number(k) for k in ("px", "py", "pz")]))
+    return make_pose(matrix_from_quaternion(q), np.array([table.number(k) for k in ("px", "py", "pz")]))

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import Sim3, invert_pose, matrix_from_quat, quat_from_matrix
+from panobench.geometry import Sim3, invert_pose, matrix_from_quaternion, quaternion_from_matrix
 from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.dormant import Dormant, Numbers, anchors_of
 from panobench.methods.panogs.mapper import Mapper
@@ -194,8 +194,8 @@ def move_gaussians(gaussians: GaussianMap, anchors: Numbers, moves: list[Sim3]) 
     t = np.stack([m.t for m in moves])[anchors]
     gaussians.means[:] = scale[:, None] * np.einsum("nij,nj->ni", R, gaussians.means) + t
     gaussians.log_scales += np.log(scale)[:, None].astype(np.float32)
-    turned_axes = R @ matrix_from_quat(gaussians.quats[:, [1, 2, 3, 0]])
-    gaussians.quats[:] = quat_from_matrix(turned_axes)[:, [3, 0, 1, 2]]
+    turned_axes = R @ matrix_from_quaternion(gaussians.quats)
+    gaussians.quats[:] = quaternion_from_matrix(turned_axes)
 
 
 def carry_out(moves: list[Sim3], mapper: Mapper, dormant: Dormant, records: Mapping[int, Anchored]) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import matrix_from_quat
+from panobench.geometry import matrix_from_quaternion
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.render import Render
 
@@ -70,5 +70,5 @@ def halves(gaussians: GaussianMap, which: NDArray[np.intp]) -> GaussianMap:
 
 def _column(quats: F32, axis: NDArray[np.intp]) -> F32:
     """Column ``axis`` of each rotation: that axis of the disc in the world, (N, 3)."""
-    R = matrix_from_quat(quats[:, [1, 2, 3, 0]])
+    R = matrix_from_quaternion(quats)
     return np.asarray(R[np.arange(len(quats)), :, axis], dtype=np.float32)

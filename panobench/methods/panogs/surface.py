@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.geometry import fibonacci_sphere, quat_from_matrix
+from panobench.geometry import fibonacci_sphere, quaternion_from_matrix
 from panobench.splat.gaussians import F32, GaussianMap
 
 #: A disc seen edge-on is not stretched beyond this to cover its pixels.
@@ -129,7 +129,7 @@ def seed_gaussians(
     base = scale_factor * spacing * d
     scales = np.stack([base / cosine, base, flatten * base], axis=1)
     R_wc, t = T_wc[:3, :3], T_wc[:3, 3]
-    quats = quat_from_matrix(R_wc @ axes)[:, [3, 0, 1, 2]]
+    quats = quaternion_from_matrix(R_wc @ axes)
     return GaussianMap(
         ((rays * d[:, None]) @ R_wc.T + t).astype(np.float32),
         np.log(scales).astype(np.float32),

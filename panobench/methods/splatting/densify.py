@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import matrix_from_quat
+from panobench.geometry import matrix_from_quaternion
 from panobench.methods.splatting.trainer import GaussianTrainer
 from panobench.splat.gaussians import GaussianMap
 
@@ -51,7 +51,7 @@ def _halves(parents: GaussianMap, rng: np.random.Generator) -> GaussianMap:
     """Two smaller Gaussians for each, drawn from it."""
     twice = parents.concat(parents)
     local = rng.normal(size=(len(twice), 3)) * np.exp(twice.log_scales)
-    R = matrix_from_quat(twice.quats[:, [1, 2, 3, 0]])
+    R = matrix_from_quaternion(twice.quats)
     twice.means += np.einsum("nij,nj->ni", R, local).astype(np.float32)
     twice.log_scales -= np.float32(np.log(SHRINK))
     return twice
