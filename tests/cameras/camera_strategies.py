@@ -25,8 +25,11 @@ QUICK = settings(
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.differing_executors],
 )
 
-#: The polynomials of PALVIO's upward camera at its native 1280x960.
+#: The direct polynomial of PALVIO's upward camera at its native 1280x960.
 PALVIO_POLY = (-244.5239, 0.0, 1.748610e-3, -1.757770e-6, 4.475965e-9)
+#: Its inverse polynomial, as the calibration file prints it.
+PALVIO_INVERSE = [376.845565, 246.746504, 19.035187, 23.840497, 18.991943, 6.066253, 1.560387, 5.854280]
+PALVIO_INVERSE += [3.458320, -1.995166, -1.509264, 1.089614, 1.340245, 0.255323]
 
 
 def between(low: float, high: float) -> st.SearchStrategy[float]:
