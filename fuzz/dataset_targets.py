@@ -120,6 +120,35 @@ def _parse_npy(path: Path) -> None:
     assert read_depth(path).ndim == 2
 
 
+def _video_material() -> Material:
+    import av
+
+    documents = []
+    for suffix, codec in ((".mp4", "libx264"), (".mkv", "libx264"), (".avi", "mpeg4"), (".ts", "mpeg2video")):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"a{suffix}"
+            with av.open(str(path), "w") as container:
+                stream = container.add_stream(codec, rate=25)
+                stream.width, stream.height, stream.pix_fmt, stream.gop_size = 64, 32, "yuv420p", 4
+                for i in range(9):
+                    frame = av.VideoFrame.from_ndarray(np.full((32, 64, 3), 20 * i, np.uint8), format="rgb24")
+                    container.mux(stream.encode(frame))
+                container.mux(stream.encode())
+            documents.append(path.read_bytes())
+    words = b"moov trak stts ctts stsz elst mdat 00dc \x1f\x43\xb6\x75 \0\0\1\xb3"
+    return Material(tuple(documents), tuple(words.split(b" ")))
+
+
+def _parse_video(path: Path) -> None:
+    from panobench.video.reader import VideoReader
+
+    reader = VideoReader(path)
+    assert reader.times[0] == 0
+    assert (np.diff(reader.times) > 0).all()
+    for index in (len(reader) - 1, 0, len(reader) // 2):
+        assert reader.read(index, (16, 8)).shape == (8, 16, 3)
+
+
 def _bag_material() -> Material:
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -178,5 +207,6 @@ TARGETS = (
            _palvio),
     Target("image", "image.png", _image_material, plain(_parse_image)),
     Target("depth-npy", "depth.npy", _npy_material, plain(_parse_npy)),
+    Target("video", "a.mp4", _video_material, plain(_parse_video)),
     Target("bag", "a.bag", _bag_material, plain(_parse_bag)),
 )  # fmt: skip

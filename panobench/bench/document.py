@@ -76,6 +76,7 @@ def run_document(
         "keyframes": estimate.keyframes,
         "depth": _depth_entry(opened, estimate.depth),
         "groundtruth": sequence.groundtruth is not None,
+        "remarks": sequence.remarks(),
         "extra": estimate.extra,
         "provenance": {
             **origin,

@@ -20,7 +20,7 @@ from types import CodeType
 from typing import Any
 
 #: Packages whose version changes numbers.
-NUMERICAL_PACKAGES = ("numpy", "scipy", "numba", "torch", "opencv-python-headless", "evo")
+NUMERICAL_PACKAGES = ("numpy", "scipy", "numba", "torch", "opencv-python-headless", "av", "evo")
 #: Parts of panobench that show or organise results and cannot change one.
 _NOT_RESULTS = ("panobench.cli", "panobench.report", "panobench.studies", "panobench.testing", "panobench.builtins")
 #: What a dataset says about where its files are is not content.

@@ -91,6 +91,9 @@ def _run(
     spec = request.to_dict()
     _call_hooks("run_started", log, spec=spec, sequence=opened.sequence)
     log(f"{request.method} on {request.dataset}/{opened.sequence.name}, {len(opened.sequence)} frames")
+    said = opened.sequence.remarks()
+    for remark in said:
+        log(f"note: {remark}")
     holdout = held_out(len(opened.sequence), request.holdout)
     _seed(request.seed)
     with Meter() as meter:
@@ -102,6 +105,9 @@ def _run(
     log(f"{scores.status.value}: {scores.message}" if scores.message else scores.status.value)
     resources = {"peak_rss_bytes": meter.peak_rss_bytes, "cpu_s": cpu_s}
     document = {**run_document(request, opened, tracked, holdout, scores, resources, origin), **extra}
+    for remark in document["remarks"]:
+        if remark not in said:
+            log(f"note: {remark}")
     observer.stage("writing")
     write_run(folder, document, opened, tracked, holdout)
     return document

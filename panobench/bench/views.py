@@ -54,6 +54,9 @@ class ChosenFrames(FrameSequence):
     def novel_views(self) -> list[NovelView]:
         return self._inner.novel_views()
 
+    def remarks(self) -> list[str]:
+        return self._inner.remarks()
+
     def provenance(self) -> dict[str, Any]:
         return self._inner.provenance()
 

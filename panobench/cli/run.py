@@ -105,6 +105,7 @@ def summary(folder: Path, document: dict[str, Any]) -> str:
             lines.append(f"{label:18}{form.format(value * factor)}")
     if document["depth"]["oracle"]:
         lines.append("note: the dataset's own depth was given to the method (oracle)")
+    lines += [f"note: {remark}" for remark in document.get("remarks") or ()]
     return "\n".join(lines)
 
 

@@ -55,6 +55,12 @@ class FrameSequence(ABC):
         """Views apart from the trajectory with true poses."""
         return []
 
+    def remarks(self) -> list[str]:
+        """What one must know of the input to judge a result, one line each: frames that could not be decoded, times or
+        a layout that were assumed. Asked for when a run begins and when it ends. Wrappers pass their source's on.
+        """
+        return []
+
     def provenance(self) -> dict[str, Any]:
         """For run.json: root, files, checksums, generator parameters."""
         return {}

@@ -91,6 +91,9 @@ class ConvertedSequence(FrameSequence):
     def _view_maps(self) -> dict[tuple[int, int], Reprojector]:
         return {}
 
+    def remarks(self) -> list[str]:
+        return self.source.remarks()
+
     def provenance(self) -> dict[str, Any]:
         return {
             **self.source.provenance(),

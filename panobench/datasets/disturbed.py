@@ -57,6 +57,9 @@ class DisturbedSequence(FrameSequence):
     def novel_views(self) -> list[NovelView]:
         return self.source.novel_views()
 
+    def remarks(self) -> list[str]:
+        return self.source.remarks()
+
     def provenance(self) -> dict[str, Any]:
         about = {"version": DISTURBANCE_VERSION, "seed": self._disturb.seed, **self._disturb.chosen.to_dict()}
         return {**self.source.provenance(), "source": self.source.dataset, "disturbances": about}

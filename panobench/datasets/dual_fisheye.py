@@ -31,9 +31,10 @@ from panobench.cameras.views import look_rotation
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.locate import choose_sequence
-from panobench.datasets.video import VideoReader, video_files
+from panobench.datasets.video import video_files, video_provenance, video_remarks
 from panobench.errors import CalibrationError, DatasetError, UsageError
 from panobench.reading import inside, number_array, parse_yaml, read_text
+from panobench.video.reader import VideoReader
 
 Array = NDArray[np.float64]
 _KEYS = {"x", "y", "camera", "yaw_pitch_roll_deg", "R_rig_lens"}
@@ -150,19 +151,21 @@ class DualFisheyeSequence(FrameSequence):
         self._stitcher = Stitcher(rig, camera)
         self.camera = camera if self._stitcher.valid.all() else camera.with_mask(self._stitcher.valid)
         self.name, self.dataset = name, "insta360-dual-fisheye"
-        self.times = np.arange(self.reader.count) / self.reader.rate
+        self.times = self.reader.times
         self._files = [path, calibration]
 
     def image(self, index: int) -> NDArray[np.uint8]:
         return self._stitcher.image(self.reader.read(range(len(self))[index]))
+
+    def remarks(self) -> list[str]:
+        return video_remarks(self.reader)
 
     def provenance(self) -> dict[str, Any]:
         return {
             "dataset": self.dataset,
             "sequence": self.name,
             "root": str(self._files[0]),
-            "native_size": [self.reader.width, self.reader.height],
-            "rate_hz": self.reader.rate,
+            **video_provenance(self.reader),
             "blend_deg": self._stitcher.rig.blend_deg,
             **files_provenance(self._files),
         }

@@ -20,6 +20,7 @@ from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import read_image, read_mask
 from panobench.datasets.locate import choose_sequence
+from panobench.datasets.natural import natural_paths
 from panobench.datasets.trajectory_io import check_times, parse_floats, poses_from_rows, read_rows, read_table, read_tum
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import DatasetError
@@ -54,7 +55,7 @@ def is_sequence(folder: Path) -> bool:
 def find_sequences(root: Path, depth: int = 3) -> list[str]:
     """Sequences below ``root`` as relative paths, at most ``depth`` levels down; unfinished ones are skipped."""
     found = []
-    for child in sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
+    for child in natural_paths(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
         if child.name.endswith(".partial"):
             continue
         if is_sequence(child):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets.image_header import HEAD_BYTES, HeaderError, check_complete, image_size
+from panobench.datasets.natural import natural_names
 from panobench.errors import DatasetError
 
 #: Larger images are refused before decoding: a damaged header must not take the machine's memory.
@@ -227,9 +228,9 @@ def encode_depth(depth: NDArray[np.float32]) -> bytes:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """Image files directly in ``folder``, by name; hidden files are skipped."""
+    """Image files directly in ``folder``, in natural order of their names; hidden files are skipped."""
     if not folder.is_dir():
         return []
     with os.scandir(folder) as entries:
         names = [e.name for e in entries if e.name[0] != "." and e.name.lower().endswith(IMAGE_SUFFIXES)]
-    return [folder / name for name in sorted(names)]
+    return [folder / name for name in natural_names(names)]

@@ -16,6 +16,7 @@ from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_
 from panobench.datasets.images import list_images
 from panobench.datasets.json_poses import read_json, rigid_matrix
 from panobench.datasets.locate import choose_sequence
+from panobench.datasets.natural import natural_names, natural_paths
 from panobench.datasets.synpano import panorama_camera
 from panobench.errors import DatasetError
 from panobench.types import Trajectory
@@ -34,7 +35,7 @@ class Loc360(Dataset):
         if (self.root / _POSES).is_file():
             return {self.root.resolve().name: self.root}
         files = [p for k in range(1, 4) for p in self.root.glob("*/" * k + _POSES)]
-        found = {p.parent.relative_to(self.root).as_posix(): p.parent for p in sorted(files) if _is_360(p)}
+        found = {p.parent.relative_to(self.root).as_posix(): p.parent for p in natural_paths(files) if _is_360(p)}
         if not found:
             raise DatasetError(f"no 360Loc sequence here: PLACE/mapping/NAME/{_POSES} is expected", self.root)
         return found
@@ -60,7 +61,7 @@ def _read(folder: Path, name: str) -> ImageSource:
         raise DatasetError("expected image names with their poses", path)
     images = folder / "image"
     present = {p.name: p for p in list_images(images)}
-    names = sorted(table)
+    names = natural_names(table)
     missing = [n for n in names if n not in present]
     if missing:
         raise DatasetError(f"image '{missing[0]}' is missing in {images}", path)

@@ -4,7 +4,9 @@ OmniBlender (Choi et al., "Balanced Spherical Grid for Egocentric View Synthesis
 and ``SCENE/transform.json`` with frames {file_path, transform_matrix}, camera-to-world in Blender's camera axes.
 OB3D (Ito et al., "OB3D", 2025): ``SCENE/{Egocentric,Non-Egocentric}/images/NNNNN_rgb.png`` and
 ``cameras/NNNNN_cam.json`` with world-to-camera rotation and translation in x right, y down, z forward; its EXR
-depth is not read. Neither has times: frames are one second apart.
+depth is not read. Neither has times: frames are one second apart,
+in the order of the numbers in the images' names,
+or of transform.json where the names are not numbered alike.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_
 from panobench.datasets.images import IMAGE_SUFFIXES, list_images
 from panobench.datasets.json_poses import read_json, rigid, rigid_matrix
 from panobench.datasets.locate import choose_sequence
+from panobench.datasets.natural import natural_key, natural_names, natural_paths, same_but_for_numbers
 from panobench.datasets.synpano import panorama_camera, raw_to_camera_axes
 from panobench.errors import DatasetError
 from panobench.geometry import invert_pose
@@ -37,14 +40,14 @@ class OmniBlender(Dataset):
             raise DatasetError("dataset 'omniblender' needs --root PATH")
         if _is_scene(self.root):
             return {self.root.resolve().name: self.root}
-        folders = [p for k in (1, 2) for p in sorted(self.root.glob("*/" * (k - 1) + "*")) if p.is_dir()]
+        folders = [p for k in (1, 2) for p in natural_paths(self.root.glob("*/" * (k - 1) + "*")) if p.is_dir()]
         found = {p.relative_to(self.root).as_posix(): p for p in folders if _is_scene(p)}
         if not found:
             raise DatasetError(
                 f"no scene here: SCENE/{_TRANSFORMS} (OmniBlender) or SCENE/Egocentric/cameras/ (OB3D) is expected",
                 self.root,
             )
-        return dict(sorted(found.items()))
+        return {name: found[name] for name in sorted(found, key=natural_key)}
 
     def sequences(self) -> list[str]:
         return list(self._found())
@@ -97,8 +100,8 @@ def _read_transforms(folder: Path) -> tuple[list[Path], list[Any], list[Path]]:
             raise DatasetError(f"image '{name}' is missing in {folder / 'images'}", path, frame=k)
         pose = rigid_matrix(frame.get("transform_matrix"), path, f"'{name}'")
         found[file.name] = (file, raw_to_camera_axes(pose))
-    ordered = [found[n] for n in sorted(found)]
-    return [file for file, _ in ordered], [pose for _, pose in ordered], [path]
+    order = natural_names(found) if same_but_for_numbers(found) else found
+    return [found[n][0] for n in order], [found[n][1] for n in order], [path]
 
 
 def _read_ob3d(folder: Path) -> tuple[list[Path], list[Any], list[Path]]:

@@ -18,6 +18,7 @@ from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource
 from panobench.datasets.images import read_mask
 from panobench.datasets.locate import choose_sequence
+from panobench.datasets.natural import natural_paths
 from panobench.datasets.trajectory_io import check_times, parse_floats, read_euroc_csv, read_rows, read_table
 from panobench.datasets.trajectory_match import interpolate_poses
 from panobench.errors import CalibrationError, DatasetError
@@ -39,7 +40,7 @@ class TumVi(Dataset):
             raise DatasetError("dataset 'tum-vi' needs --root PATH")
         if (self.root / "mav0").is_dir():
             return {self.root.resolve().name: self.root}
-        found = {p.parent.name: p.parent for p in sorted(self.root.glob("*/mav0"))}
+        found = {p.parent.name: p.parent for p in natural_paths(self.root.glob("*/mav0"))}
         if not found:
             raise DatasetError("no TUM-VI sequence here: SEQUENCE/mav0/cam0/data.csv is expected", self.root)
         return found

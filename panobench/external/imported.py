@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from panobench.datasets import trajectory_io as io
 from panobench.datasets.base import FrameSequence
+from panobench.datasets.natural import natural_paths
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import InputError, UsageError
 from panobench.external.trajectory import READERS, Kind
@@ -145,9 +147,9 @@ def find_renders(folder: Path, index: list[int], sequence: FrameSequence) -> lis
     """
     if not folder.is_dir():
         raise InputError("no such folder of renders", folder)
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES)
+    files = natural_paths(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != ".")
     by_stem = {p.stem: p for p in files}
-    by_number = {int(p.stem): p for p in files if p.stem.isascii() and p.stem.isdigit()}
+    by_number = _by_number(files, len(sequence))
     names = {i: Path(sequence.frame_name(i)).stem for i in index}
     for table in ({i: by_stem.get(names[i]) for i in index}, {i: by_number.get(i) for i in index}):
         if all(table.values()):
@@ -156,6 +158,20 @@ def find_renders(folder: Path, index: list[int], sequence: FrameSequence) -> lis
         return files if len(files) == len(index) else [files[i] for i in index]
     missing = next(i for i in index if by_stem.get(names[i]) is None and by_number.get(i) is None)
     raise InputError(f"no render for frame {missing} ('{names[missing]}'): {len(files)} images, none named so", folder)
+
+
+def _by_number(files: list[Path], frames: int) -> dict[int, Path]:
+    """Files by the number at the end of their names, where those differ in nothing else: render_7. Counted from 0, or
+    from 1 where there are exactly as many as ``frames``.
+    """
+    split = {p: re.fullmatch(r"(.*?)([0-9]+)", p.stem) for p in files}
+    heads = {m[1] if m else None for m in split.values()}
+    if len(heads) != 1 or None in heads:
+        return {}
+    found = {int(m[2]): p for p, m in split.items() if m}
+    if set(found) == set(range(1, frames + 1)):
+        return {number - 1: path for number, path in found.items()}
+    return found
 
 
 def _read_render(path: Path, camera: Camera) -> NDArray[np.float32]:

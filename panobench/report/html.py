@@ -122,7 +122,9 @@ def _run_details(number: int, run: Run, label: str, gallery: Gallery) -> dict[st
         "map_link": copy_map(run, gallery, number),
         "configuration": flatten(run.document.get("spec") or {}),
         "provenance": flatten(provenance if isinstance(provenance, Mapping) else {}),
-        "extra": flatten({k: run.document[k] for k in ("extra", "depth", "notes", "map") if run.document.get(k)}),
+        "extra": flatten(
+            {k: run.document[k] for k in ("remarks", "extra", "depth", "notes", "map") if run.document.get(k)}
+        ),
     }
 
 

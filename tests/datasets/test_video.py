@@ -11,13 +11,13 @@ from dataset_samples import video
 
 from panobench.datasets.images import encode_image
 from panobench.datasets.open import open_sequence
-from panobench.datasets.video import Video, VideoReader
+from panobench.datasets.video import Video
 from panobench.errors import DatasetError, UnknownNameError
 
 
 def level(image: np.ndarray) -> int:
-    """The frame number written into the lower half (the codec darkens it by 3)."""
-    return round((float(image[20:].mean()) - 7) / 4)
+    """The frame number written into the lower half (colour conversion takes one off)."""
+    return round((float(image[20:].mean()) - 9) / 4)
 
 
 def test_frames_in_order_and_at_random_are_the_same(tmp_path: Path) -> None:
@@ -51,12 +51,6 @@ def test_bad_videos(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no video here"):
         Video(tmp_path).open()
     path = tmp_path / "v.mp4"
-    path.write_bytes(b"")
-    with pytest.raises(DatasetError, match=r"v\.mp4: the video is empty"):
-        Video(path).open()
-    path.write_bytes(b"not a video" * 100)
-    with pytest.raises(DatasetError, match=r"v\.mp4: the video cannot be opened"):
-        Video(path).open()
     whole = video(tmp_path / "w.mp4").read_bytes()
     path.write_bytes(whole[: len(whole) // 2])  # the index at the end is gone
     with pytest.raises(DatasetError, match="truncated"):
@@ -75,12 +69,15 @@ def test_the_decoder_does_not_add_its_own_lines(tmp_path: Path) -> None:
     assert "v.mp4: the video cannot be opened" in done.stderr
 
 
-def test_damage_in_the_middle_names_the_frame(tmp_path: Path) -> None:
-    path = video(tmp_path / "v.mp4", 10)
-    reader = VideoReader(path)
-    reader.count = 40  # as if the container had promised more
-    with pytest.raises(DatasetError, match="frame 20: the frame cannot be decoded"):
-        reader.read(20)
+def test_damage_is_said_once_it_was_met(tmp_path: Path) -> None:
+    whole = video(tmp_path / "w.mp4", 40).read_bytes()
+    path = tmp_path / "v.mp4"
+    index = whole.index(b"\x00\x00\x01\xb6", len(whole) // 3)  # a frame begins
+    path.write_bytes(whole[: index + 4] + bytes(60) + whole[index + 64 :])
+    sequence = Video(path).open()
+    assert sequence.remarks() == []
+    assert len([sequence.image(i) for i in range(len(sequence))]) == 40
+    assert any("damaged" in remark for remark in sequence.remarks())
 
 
 @pytest.mark.data
