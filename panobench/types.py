@@ -78,13 +78,15 @@ class Trajectory:
 class Imu:
     """Inertial samples: times (N,), angular rate (N, 3) rad/s and specific force (N, 3) m/s^2, body axes.
 
-    T_body_cam: pose (4, 4) of the camera in the body's axes; None: the body's axes are the camera's.
+    The times are on the camera's clock. T_body_cam: pose (4, 4) of the camera in the body's axes; None: the body's
+    axes are the camera's. gravity: its magnitude where the data were recorded, m/s^2; None: not known.
     """
 
     times: NDArray[np.float64]
     gyro: NDArray[np.float64]
     accel: NDArray[np.float64]
     T_body_cam: NDArray[np.float64] | None = None
+    gravity: float | None = None
 
 
 @dataclass(frozen=True)

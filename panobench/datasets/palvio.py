@@ -58,7 +58,7 @@ class PalvioBagSequence(FrameSequence):
         contents = _contents(path, (stat.st_size, stat.st_mtime_ns), _Wanted.of(calibration))
         self._where, self.times = contents.where, contents.times
         self._dropped = contents.dropped
-        self._imu = None if contents.imu is None else replace(contents.imu, T_body_cam=calibration.body_T_cam)
+        self._imu = None if contents.imu is None else _mounted(contents.imu, calibration)
         self._groundtruth = None if contents.body is None else camera_truth(contents.body, self.times, calibration)
         self.camera = scaled_camera(calibration.camera, width)
 
@@ -189,6 +189,10 @@ def _checked_rows(
     return table[keep], int(len(table) - keep.sum())
 
 
+def _mounted(imu: Imu, calibration: PalvioCalibration) -> Imu:
+    return replace(imu, T_body_cam=calibration.body_T_cam, gravity=calibration.gravity)
+
+
 def _notes(calibration: PalvioCalibration) -> dict[str, Any]:
     return {
         "calibration": calibration.source,
@@ -260,7 +264,7 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
     truth_path, imu_path = folder / "groundtruth.tum", folder / "imu.csv"
     imu = read_imu_csv(imu_path) if imu_path.is_file() else None
     if imu is not None:
-        imu = replace(imu, times=imu.times - calibration.time_offset_s, T_body_cam=calibration.body_T_cam)
+        imu = _mounted(replace(imu, times=imu.times - calibration.time_offset_s), calibration)
     return ImageSource(
         dataset="palvio",
         name=name,

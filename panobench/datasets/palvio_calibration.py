@@ -22,6 +22,7 @@ from panobench.reading import inside, number_array, parse_yaml, read_text
 
 Array = NDArray[np.float64]
 
+STANDARD_GRAVITY = 9.80665
 OVERRIDE = "palvio.yaml"
 _TOPICS = ("image_topic", "imu_topic", "groundtruth_topic")
 
@@ -31,12 +32,13 @@ class PalvioCalibration:
     """What reading a PALVIO recording needs.
 
     body_T_cam: pose of the camera on the body (IMU axes), (4, 4). time_offset_s: IMU time minus camera time
-    of the same instant ('td' of the VINS family).
+    of the same instant ('td' of the VINS family). gravity: m/s^2; PALVIO does not publish its own.
     """
 
     camera: Camera
     body_T_cam: Array
     time_offset_s: float
+    gravity: float = STANDARD_GRAVITY
     image_topic: str = "/mindvision/mindvision/left/image_mono"
     imu_topic: str = "/mavros/imu/data"
     groundtruth_topic: str = "/vicon/pal/pal"
@@ -56,7 +58,7 @@ def find_calibration(folder: Path) -> PalvioCalibration:
     """The published calibration with what ``folder/palvio.yaml``, if there is one, says differently.
 
     Keys, all optional: ``camera`` (a calibration file beside it, with its mask, extrinsics and time offset),
-    ``body_T_cam`` (4x4), ``time_offset_s``, ``image_topic``, ``imu_topic``, ``groundtruth_topic``.
+    ``body_T_cam`` (4x4), ``time_offset_s``, ``gravity`` (m/s^2), ``image_topic``, ``imu_topic``, ``groundtruth_topic``.
     Raises CalibrationError naming the file.
     """
     path = folder / OVERRIDE
@@ -66,7 +68,7 @@ def find_calibration(folder: Path) -> PalvioCalibration:
     values = parse_yaml(text, path, CalibrationError)
     if not isinstance(values, dict):
         raise CalibrationError("expected a table of values", path)
-    unknown = sorted(set(map(str, values)) - {"camera", "body_T_cam", "time_offset_s", *_TOPICS})
+    unknown = sorted(set(map(str, values)) - {"camera", "body_T_cam", "time_offset_s", "gravity", *_TOPICS})
     if unknown:
         raise CalibrationError(f"unknown key '{unknown[0]}'", path)
     found = replace(published_calibration(), **_changes(values, path))
@@ -98,4 +100,9 @@ def _changes(values: dict[str, Any], path: Path) -> dict[str, Any]:
         if not isinstance(offset, (int, float)) or not abs(offset) < 1e9:
             raise CalibrationError(f"'time_offset_s' must be a number, not {offset!r}", path)
         changes["time_offset_s"] = float(offset)
+    if "gravity" in values:
+        gravity = values["gravity"]
+        if not isinstance(gravity, (int, float)) or not 9.7 < gravity < 9.9:
+            raise CalibrationError(f"'gravity' must be a number of m/s^2, not {gravity!r}", path)
+        changes["gravity"] = float(gravity)
     return changes

@@ -19,14 +19,13 @@ from panobench.cameras.calibration import write_calibration
 from panobench.cameras.reproject import Reprojector
 from panobench.cameras.views import upright_rotation
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.palvio_calibration import OVERRIDE, PalvioCalibration, published_calibration
+from panobench.datasets.palvio_calibration import OVERRIDE, STANDARD_GRAVITY, PalvioCalibration, published_calibration
 from panobench.errors import UsageError
 from panobench.geometry import invert_pose, make_pose, quaternion_from_matrix
 from panobench.types import Trajectory
 from panobench.writing import write_whole, writing
 
 Array = NDArray[np.float64]
-GRAVITY = 9.80665
 CAMERA_FILE = "palvio_camera.yaml"
 
 
@@ -59,10 +58,10 @@ class BodyMotion:
         """(M, 4, 4) world-from-body."""
         return make_pose(self._rotation(times).as_matrix(), self._position(times))
 
-    def imu(self, times: Array, up: Array) -> tuple[Array, Array]:
+    def imu(self, times: Array, up: Array, gravity: float = STANDARD_GRAVITY) -> tuple[Array, Array]:
         """Angular rate (M, 3) rad/s and specific force (M, 3) m/s^2 in body axes; ``up`` is against gravity."""
         R = self._rotation(times).as_matrix()
-        force = self._position(times, 2) + GRAVITY * up
+        force = self._position(times, 2) + gravity * up
         return np.asarray(self._rotation(times, 1)), np.einsum("nji,nj->ni", R, force)
 
 
@@ -157,7 +156,7 @@ def _write(
     begin, end = float(motion.times[0]), float(motion.times[-1])
     t_imu = sample_times(begin, end, options.imu_rate_hz)
     t_truth = sample_times(begin, end, options.truth_rate_hz)
-    gyro, accel = motion.imu(t_imu, up)
+    gyro, accel = motion.imu(t_imu, up, calibration.gravity)
     rng = np.random.default_rng(options.seed)
     gyro = gyro + rng.normal(0, options.gyro_noise, gyro.shape)
     accel = accel + rng.normal(0, options.accel_noise, accel.shape)

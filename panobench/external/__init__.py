@@ -17,8 +17,10 @@ _EXPORTS = {
         "ExternalTimeoutError",
         "Job",
     ),
+    "panobench.external.annulus": ("Annulus", "fit_annulus"),
     "panobench.external.bag": ("BAG_START_S", "write_bag"),
     "panobench.external.findings": ("Finding", "library_finding", "missing_libraries"),
+    "panobench.external.imu_noise": ("sample_noise",),
     "panobench.external.inputs": (
         "OpenCvFisheye",
         "OpenCvPinhole",
@@ -37,8 +39,16 @@ _EXPORTS = {
     "panobench.external.launch": ("Place", "parse_place"),
     "panobench.external.orb_slam": ("MonoEurocMethod", "OrbSlamConfig", "OrbSlamMethod"),
     "panobench.external.python_package": ("PythonPackageMethod", "copy_script", "find_package"),
+    "panobench.external.ros": ("find_node",),
     "panobench.external.stored_map": ("StoredMap", "read_stored_map"),
     "panobench.external.trajectory": ("TrajectoryFormat", "read_answer"),
+    "panobench.external.vins": (
+        "VinsConfig",
+        "VinsMethod",
+        "camodocal_camera",
+        "vins_settings",
+        "write_tracker_mask",
+    ),
     "panobench.external.vocabulary": (
         "VOCABULARY_VARIABLE",
         "Vocabulary",

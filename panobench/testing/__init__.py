@@ -15,6 +15,7 @@ _EXPORTS = {
     "panobench.testing.cameras": ("FakeCamera", "annular_camera", "fisheye_camera", "pinhole_camera"),
     "panobench.testing.fixtures": ("fake_camera", "rotating_sequence", "tiny_sequence"),
     "panobench.testing.programs": ("pose_rows", "write_program"),
+    "panobench.testing.ros_workspace": ("IDLE", "write_ros_workspace"),
     "panobench.testing.running": ("MethodRun", "ate_rmse", "make_method", "rotation_error_deg", "run_method"),
     "panobench.testing.sequences": (
         "BlindSequence",

@@ -17,8 +17,8 @@ from panobench.datasets.base import FrameSequence
 from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.open import open_sequence
 from panobench.datasets.palvio import Palvio
-from panobench.datasets.palvio_calibration import find_calibration, published_calibration
-from panobench.datasets.palvio_synth import GRAVITY, BagOptions, write_palvio_bag
+from panobench.datasets.palvio_calibration import STANDARD_GRAVITY, find_calibration, published_calibration
+from panobench.datasets.palvio_synth import BagOptions, write_palvio_bag
 from panobench.datasets.synpano import SynPano
 from panobench.errors import CalibrationError, DatasetError, UsageError
 from panobench.geometry import invert_pose, make_pose, so3_exp, so3_log
@@ -118,7 +118,7 @@ def test_imu_is_on_the_camera_s_clock_and_agrees_with_the_motion(bag: Path) -> N
     np.testing.assert_allclose(imu.gyro[between].mean(axis=0), rate, atol=0.01)
     middle = np.searchsorted(imu.times, (truth.times[0] + truth.times[-1]) / 2)
     acceleration = np.gradient(np.gradient(body[:, :3, 3], truth.times, axis=0), truth.times, axis=0)[3:5].mean(axis=0)
-    force = body[3, :3, :3].T @ (acceleration + [0, 0, GRAVITY])
+    force = body[3, :3, :3].T @ (acceleration + [0, 0, STANDARD_GRAVITY])
     np.testing.assert_allclose(imu.accel[middle - 5 : middle + 5].mean(axis=0), force, atol=0.3)
 
 

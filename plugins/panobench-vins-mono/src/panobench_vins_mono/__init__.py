@@ -8,7 +8,7 @@ SPEC = MethodSpec(
     "vins-mono",
     "VINS-Mono: monocular visual-inertial odometry, over a ROS bag",
     "panobench_vins_mono.method:VinsMono",
-    cameras=("pinhole", "omni"),
+    cameras=("pinhole", "omni", "pal"),
     needs=("rgb", "imu"),
     colour=False,
     metric=True,
