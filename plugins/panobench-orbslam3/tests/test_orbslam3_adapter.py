@@ -66,7 +66,8 @@ open(f"kf_{name}.txt", "w").write(%r)
 """
 
 
-def test_the_binary_keeps_the_contract() -> None:
+def test_the_binary_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PANOBENCH_ORBSLAM3_BINARY_RUN_IN", "venv:/no/such/place")
     assert_conforms(BINARY)
 
 
@@ -93,7 +94,8 @@ def test_a_crash_of_the_binary_shows_its_log(sequence: TinySequence, vocabulary:
         run_method(OrbSlam3Binary(OrbSlamConfig(command=str(program), levels=2)), sequence)
 
 
-def test_a_missing_binary_is_unavailable(sequence: TinySequence) -> None:
+def test_a_missing_binary_is_unavailable(sequence: TinySequence, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PANOBENCH_ORBSLAM3_BINARY_COMMAND", "no-such-program")
     with pytest.raises(UnavailableError, match="PANOBENCH_ORBSLAM3_BINARY_COMMAND"):
         run_method(OrbSlam3Binary(), sequence)
 

@@ -41,7 +41,8 @@ def vocabulary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VOCABULARY_VARIABLE, str(path))
 
 
-def test_it_keeps_the_contract() -> None:
+def test_it_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PANOBENCH_P2U_SLAM_RUN_IN", "venv:/no/such/place")
     assert_conforms(SPEC)
 
 
@@ -57,7 +58,8 @@ def test_annular_images_go_in_and_poses_come_out(tmp_path: Path) -> None:
     assert ate_rmse(run, sequence) < 1e-6
 
 
-def test_its_absence_is_said_plainly() -> None:
+def test_its_absence_is_said_plainly(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PANOBENCH_P2U_SLAM_COMMAND", "no-such-program")
     assert str(P2uSlam.missing()).startswith("no public code at present")
     with pytest.raises(UnavailableError):
         run_method(P2uSlam(), TinySequence(PAL, n=2))

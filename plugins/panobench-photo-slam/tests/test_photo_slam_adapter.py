@@ -48,7 +48,8 @@ def vocabulary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VOCABULARY_VARIABLE, str(path))
 
 
-def test_it_keeps_the_contract() -> None:
+def test_it_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PANOBENCH_PHOTO_SLAM_RUN_IN", "venv:/no/such/place")
     assert_conforms(SPEC)
 
 

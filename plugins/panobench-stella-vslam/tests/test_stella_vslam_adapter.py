@@ -72,7 +72,8 @@ def by_rate(sequence: TinySequence, rate: float) -> str:
     return "".join(f"{i / rate:.15g} " + " ".join(f"{v:.9g}" for v in row[1:]) + "\n" for i, row in enumerate(rows))
 
 
-def test_it_keeps_the_contract() -> None:
+def test_it_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PANOBENCH_STELLA_VSLAM_RUN_IN", "venv:/no/such/place")
     assert_conforms(SPEC)
 
 
@@ -148,7 +149,8 @@ def test_a_crash_shows_the_log(tmp_path: Path) -> None:
         run_method(StellaVslam(StellaVslamConfig(command=str(path), levels=2)), TinySequence(n=3))
 
 
-def test_it_is_unavailable_without_its_program() -> None:
+def test_it_is_unavailable_without_its_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PANOBENCH_STELLA_VSLAM_COMMAND", "no-such-program")
     with pytest.raises(UnavailableError, match="PANOBENCH_STELLA_VSLAM_COMMAND"):
         run_method(StellaVslam(), TinySequence(n=2))
 

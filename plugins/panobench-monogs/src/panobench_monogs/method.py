@@ -1,8 +1,8 @@
-"""The original MonoGS: a TUM RGB-D folder and a YAML file in, the poses of all frames out; needs CUDA.
+"""The original MonoGS: a TUM RGB-D folder and a YAML file in; the poses of all frames and the map out. It needs CUDA.
 
-MonoGS's reader wants depth and true poses even for monocular runs. It gets images of zeros and a made-up helix: neither
-is used by monocular tracking or mapping, and the helix keeps its own evaluation from dividing by zero. MonoGS writes
-keyframe poses only; ``export_all.py`` starts it and writes down the poses of all frames when its evaluation is called.
+MonoGS's reader wants depth and true poses even for monocular runs. It gets a depth image of zeros, and the identity
+as every pose: a monocular run uses the pose at which a map starts, and nothing else of them. MonoGS stores keyframe
+poses only: ``export_all.py`` starts it, and writes the poses of all frames and the map.
 """
 
 from __future__ import annotations
@@ -14,32 +14,40 @@ from typing import Any, ClassVar
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
-from panobench import FrameSequence, MethodContext
+from panobench import Camera, Estimate, FrameSequence, MethodContext, option
 from panobench.external import (
     ExternalConfig,
     ExternalMethod,
     Finding,
     Job,
+    OpenCvPinhole,
+    StoredMap,
     TrajectoryFormat,
+    copy_script,
+    intrinsics,
     opencv_pinhole,
+    read_stored_map,
     write_images,
 )
 
 HOME = "PANOBENCH_MONOGS_HOME"
 BASE_CONFIG = "configs/mono/tum/base_config.yaml"
-INTERVAL_S = 0.1  # between frames, as MonoGS sees them: its reader skips frames that come faster than 32 per second
+#: Seconds between two frames as MonoGS sees them. Its reader skips frames that come faster than 32 per second.
+INTERVAL_S = 0.1
 
 
 @dataclass(frozen=True)
 class MonoGsConfig(ExternalConfig):
-    """home: MonoGS's folder ("": the variable PANOBENCH_MONOGS_HOME). All other settings are its own."""
+    """MonoGS. All other settings are its own."""
 
-    home: str = ""
+    home: str = option("", "MonoGS's folder; empty: the variable PANOBENCH_MONOGS_HOME")
+    single_thread: bool = option(False, "map only when there is a keyframe, instead of all the time beside tracking")
 
 
 class MonoGs(ExternalMethod):
-    """``python export_all.py HOME CONFIG OUT`` starts MonoGS's slam.py; final poses of all frames."""
+    """``python export_all.py HOME CONFIG FOLDER`` starts MonoGS's slam.py. Final poses of the last map's frames."""
 
     title: ClassVar[str] = "MonoGS"
     program: ClassVar[str] = "python"
@@ -47,7 +55,10 @@ class MonoGs(ExternalMethod):
     config_class: ClassVar[type[ExternalConfig]] = MonoGsConfig
     config: MonoGsConfig
 
+    _map: StoredMap | None = None
+
     def home(self) -> str:
+        """MonoGS's folder, empty if none is named."""
         return self.config.home or os.environ.get(HOME, "")
 
     @classmethod
@@ -79,13 +90,12 @@ class MonoGs(ExternalMethod):
         times = [f"{i * INTERVAL_S:.6f}" for i in range(len(sequence))]
         (data / "rgb.txt").write_text("".join(f"{t} rgb/{name}\n" for t, name in zip(times, names)))
         (data / "depth.txt").write_text("".join(f"{t} depth/zero.png\n" for t in times))
-        (data / "groundtruth.txt").write_text("# made up, not the truth\n" + "".join(_helix(times)))
+        (data / "groundtruth.txt").write_text("# not the truth\n" + "".join(f"{t} 0 0 0 0 0 0 1\n" for t in times))
         (work / "monogs.yaml").write_text(yaml.safe_dump(self._settings(sequence, p, data, work), sort_keys=False))
-        script = work / "export_all.py"  # a copy, so that containers see it too
-        script.write_text((Path(__file__).parent / "export_all.py").read_text())
+        script = copy_script(Path(__file__).parent / "export_all.py", work)
         home = self.home()
         return Job(
-            [str(script), home, str(work / "monogs.yaml"), str(work / "all.tum")],
+            [str(script), home, str(work / "monogs.yaml"), str(work)],
             work / "all.tum",
             TrajectoryFormat("tum", index_rate=1 / INTERVAL_S),
             reads=(Path(home),) if self.place().kind == "local" else (),
@@ -94,33 +104,41 @@ class MonoGs(ExternalMethod):
             keyframes=work / "keyframes.tum",
         )
 
-    def _settings(self, sequence: FrameSequence, p: Any, data: Path, work: Path) -> dict[str, Any]:
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
+        """As the base class, with MonoGS's final map."""
+        self._map = None
+        estimate = super().run(sequence, context)
+        path = context.work / "map.ply"
+        if path.exists():
+            self._map = estimate.map = read_stored_map(path)
+        return estimate
+
+    def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
+        """The map seen by panobench's renderer, which projects to first order as MonoGS's does."""
+        return None if self._map is None else self._map.render(camera, T_wc)
+
+    def _settings(self, sequence: FrameSequence, p: OpenCvPinhole, data: Path, work: Path) -> dict[str, Any]:
         k1, k2, p1, p2, k3 = (float(x) for x in p.distortion)
-        calibration = {key: float(getattr(p, key)) for key in ("fx", "fy", "cx", "cy")}
-        calibration |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3}
+        calibration = {**intrinsics(p), "k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": k3}
         size = {"width": sequence.camera.width, "height": sequence.camera.height}
+        threads = {"single_thread": self.config.single_thread}  # the front end reads one section, the back end another
         return {
             "inherit_from": str(Path(self.home()) / BASE_CONFIG),
-            "Results": {"save_results": True, "save_dir": str(work / "results"), "save_trj": True, "use_gui": False}
-            | {"eval_rendering": False, "use_wandb": False},
+            "Results": {
+                "save_results": True,
+                "save_dir": str(work / "results"),
+                "save_trj": False,  # its own evaluation, every few keyframes
+                "use_gui": False,
+                "eval_rendering": False,
+                "use_wandb": False,
+            },
+            "Training": threads,
             "Dataset": {
                 "type": "tum",
                 "sensor_type": "monocular",
                 "dataset_path": str(data),
-                "Calibration": {**calibration, **size, "depth_scale": 5000.0, "distorted": any(p.distortion)},
+                # without depth_scale no depth image is read
+                "Calibration": {**calibration, **size, "distorted": any(p.distortion)},
+                **threads,
             },
         }
-
-
-def _helix(times: list[str]) -> list[str]:
-    """TUM rows that start at the identity and are in no plane."""
-    rows = []
-    for i, t in enumerate(times):
-        a = 0.3 * i
-        rows.append(f"{t} {np.sin(a):.6f} {1 - np.cos(a):.6f} {0.05 * i:.6f} 0 0 0 1\n")
-    return rows
-
-
-def missing() -> str | None:
-    """For the probe."""
-    return MonoGs.missing()
