@@ -17,7 +17,7 @@ from panobench.depth.bootstrap_check import judge, photometric_cost
 from panobench.depth.bootstrap_solve import MEDIAN_DEPTH, OVERLAP_MIN, Solution, SolveOptions, Solver, spread_over_path
 from panobench.depth.bootstrap_starts import FlatStart, PoseStart, Start, TrackStart
 from panobench.geometry import invert_pose
-from panobench.photometric.overlap import ViewShare
+from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pyramid import F32, luma_of_frame, pyramid
 from panobench.photometric.stereo import resize_panorama
 from panobench.types import DepthEstimate, Frame
@@ -61,7 +61,7 @@ class BootstrapDepth(DepthEstimator):
         self.camera, self.seed, self.wrap = camera, seed, camera.kind == "erp"
         self.valid = camera.valid_mask()
         self.solver = Solver(camera, self.options.solve)
-        self.narrow = ViewShare(camera).steradians < self.options.narrow_sr
+        self.narrow = ViewWidth.of(camera, self.options.narrow_sr) is ViewWidth.NARROW
         self.frames: list[Frame] = []
         self.pyramids: list[list[F32]] = []
         self.starts: PoseStart = self._start_of(self.narrow)

@@ -1,6 +1,8 @@
-"""How much of what one pose sees another sees too."""
+"""How wide a camera's view is, and how much of what one pose sees another sees too."""
 
 from __future__ import annotations
+
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,19 +11,29 @@ from panobench.cameras.base import Camera
 
 #: Rays tried, down and across.
 GRID = (12, 24)
-#: Solid angle below which a view is narrow: what enters it soon fills it, and it needs every pixel to tell turning from
-#: moving.
-NARROW = 2 * np.pi
+#: Solid angle, in steradians, below which a view is narrow.
+NARROW_SR = 2 * np.pi
+
+
+class ViewWidth(Enum):
+    """A narrow view is soon filled by what enters it, and needs every pixel to tell rotation from translation."""
+
+    NARROW = "narrow"
+    WIDE = "wide"
+
+    @classmethod
+    def of(cls, camera: Camera, narrow_sr: float = NARROW_SR) -> ViewWidth:
+        """By the solid angle of the camera's valid pixels; below ``narrow_sr`` steradians it is narrow."""
+        steradians = float((camera.solid_angle() * camera.valid_mask()).sum())
+        return cls.NARROW if steradians < narrow_sr else cls.WIDE
 
 
 class ViewShare:
-    """Shares of the view of a camera; steradians: of its valid pixels; narrow: they are few (``NARROW``)."""
+    """Shares of the view of a camera."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera, self.valid = camera, camera.valid_mask()
         solid_angle = camera.solid_angle() * self.valid
-        self.steradians = float(solid_angle.sum())
-        self.narrow = self.steradians < NARROW
         y, x = (max(n // k, 1) for n, k in zip(self.valid.shape, GRID))
         some = np.s_[y // 2 :: y, x // 2 :: x]
         self.rays, self.weights = camera.rays()[some][self.valid[some]], solid_angle[some][self.valid[some]]

@@ -13,11 +13,11 @@ from panobench.studies.published import published_table, source_notes
 #: Row -> (what it changes in panogs's options, what it changes in the run).
 VARIANTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "PanoGS-SLAM": ({}, {}),
-    "w/o L_pano": ({"loss": "uniform"}, {}),
-    "w L_GS": ({"loss": "gaussian"}, {}),
-    "w/o DGIS": ({"depth_guided": False, "sweep": False}, {"depth": "constant"}),
-    "ERP projection": ({"projection": "erp"}, {}),
-    "Adam tracking": ({"solver": "adam"}, {}),
+    "w/o L_pano": ({"rendering.weights": "uniform"}, {}),
+    "w L_GS": ({"rendering.weights": "gaussian"}, {}),
+    "w/o DGIS": ({"seeding.depth_guided": False, "fixed_lag.sweep": False}, {"depth": "constant"}),
+    "ERP projection": ({"rendering.projection": "erp"}, {}),
+    "Adam tracking": ({"tracking.solver": "adam"}, {}),
 }
 METRICS = (
     ("ATE [cm] ↓", "ate_rmse_m", 100.0, False),
@@ -116,8 +116,8 @@ def variants(preset: str) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
     if preset != "paper":
         return VARIANTS
     other: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-        "Sphere projection": ({"projection": "sphere"}, {}),
-        "Gauss-Newton": ({"solver": "gauss-newton"}, {}),
+        "Sphere projection": ({"rendering.projection": "sphere"}, {}),
+        "Gauss-Newton": ({"tracking.solver": "gauss-newton"}, {}),
     }
     return {k: v for k, v in VARIANTS.items() if k not in ("ERP projection", "Adam tracking")} | other
 

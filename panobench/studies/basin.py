@@ -166,7 +166,11 @@ def _config(options: BasinOptions, **changes: Any) -> Any:
     from panobench.bench.config import override
     from panobench.methods.panogs.config import PanogsConfig
 
-    own = {k: getattr(options, k) for k in ("solver", "loss", "tracking_iterations")}
+    own = {
+        "tracking.solver": options.solver,
+        "tracking.iterations": options.tracking_iterations,
+        "rendering.weights": options.loss,
+    }
     return override(PanogsConfig(), {**own, **changes}, "study option")
 
 
@@ -183,7 +187,7 @@ def _measure(options: BasinOptions, sequence: FrameSequence, fitted: tuple[Any, 
     starts = track_from(
         scene, np.array(options.rings), options.directions, config, options.error_limit, options.rotation_limit_deg
     )
-    hessian = pose_hessian(scene, _config(options, solver="gauss-newton"))
+    hessian = pose_hessian(scene, _config(options, **{"tracking.solver": "gauss-newton"}))
     values, vectors = np.linalg.eigh(hessian)
     return {
         "median_depth_m": depth,

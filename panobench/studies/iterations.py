@@ -12,14 +12,17 @@ from panobench.studies.cells import FAILED, QUICK, RunOptions, mean, median, rea
 from panobench.studies.fov import pinhole_width
 from panobench.studies.published import source_notes
 
+#: The options that hold the two counts, by method; methods that are not named have flat ones.
+OPTIONS = {"panogs": ("tracking.iterations", "mapping.iterations")}
+FLAT_OPTIONS = ("tracking_iterations", "mapping_iterations")
 PAPER_COUNTS = ("15/30", "30/50", "50/80", "100/100")
 
 
 @dataclass(frozen=True)
 class IterationOptions(RunOptions):
-    """counts: front-end/back-end iterations, set as options tracking_iterations and mapping_iterations.
+    """counts: front-end/back-end iterations, that is, of tracking and of mapping (``OPTIONS``).
 
-    baseline: a pinhole method with the same two options to stand beside it, None for none.
+    baseline: a pinhole method with two such options to stand beside it, None for none.
     """
 
     preset: str | None = "paper"
@@ -36,13 +39,16 @@ def run(study: StudyRequest) -> StudyResult:
     runs: dict[tuple[str, str], dict[str, Any]] = {}
     for text in options.counts:
         front, back = parse_counts(text)
-        settings = {"settings": {"tracking_iterations": front, "mapping_iterations": back}}
         if options.baseline:
             view = {"camera": "pinhole:front", "width": pinhole_width(options.width)}
             runs[options.baseline, text] = {
-                **settings, **view, "method": options.baseline, "preset": None, "depth": None,
-            }  # fmt: skip
-        runs[label, text] = settings
+                **_settings(options.baseline, front, back),
+                **view,
+                "method": options.baseline,
+                "preset": None,
+                "depth": None,
+            }
+        runs[label, text] = _settings(options.method, front, back)
     runs[options.method, "its default preset"] = {"preset": None}
     runs = dict(sorted(runs.items(), key=lambda item: item[0][0] != options.baseline))
     cells = {
@@ -122,3 +128,8 @@ def _figure(points: list[tuple[str, str, Any, Any]]) -> dict[str, Any] | None:
         "showlegend": True,
     }
     return {"data": data, "layout": layout}
+
+
+def _settings(method: str, front: int, back: int) -> dict[str, Any]:
+    """What a run of ``method`` with these counts changes."""
+    return {"settings": dict(zip(OPTIONS.get(method, FLAT_OPTIONS), (front, back)))}

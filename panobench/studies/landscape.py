@@ -13,7 +13,8 @@ from panobench.geometry import invert_pose
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.tracker import Tracker
-from panobench.methods.panogs.views import View
+from panobench.methods.panogs.trajectory import AnchoredTrajectory
+from panobench.methods.splatting.views import View
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
 from panobench.splat.render import Renderer
@@ -56,17 +57,16 @@ def fit_map(
     seed: int,
 ) -> tuple[GaussianMap, float]:
     """A map of views whose poses (4, 4) and radial depths (H, W) are true, and the median depth of the first."""
-    renderer = Renderer(camera, "sphere", config.low_pass)
-    mapper = Mapper(camera, renderer, config, seed)
+    renderer = Renderer(camera, "sphere", config.rendering.low_pass)
+    mapper = Mapper(camera, renderer, config, AnchoredTrajectory(), seed)
     views = [View(i, image, T) for i, (image, T) in enumerate(zip(images, poses))]
-    mapper.initialise(views[0], depths[0])
-    mapper.add_keyframe(views[0], views[:1])
+    mapper.initialise(views[0], 0.0, depths[0])
     for i in range(1, len(views)):
-        mapper.insert(views[i], renderer.forward(mapper.map, views[i].T_wc), depths[i])
-        mapper.add_keyframe(views[i], views[i::-1])
-    mapper.optimise(iterations, poses=False)
-    mapper.prune()
-    return mapper.map, mapper.median_depth
+        mapper.insert(views[i], renderer.forward(mapper.map.gaussians, views[i].T_wc), depths[i])
+        mapper.add_keyframe(views[i], views[i::-1], float(i))
+    mapper.optimiser.optimise(iterations, poses=False)
+    mapper.optimiser.prune()
+    return mapper.map.gaussians, mapper.scene_depth
 
 
 def moved(T_wc: F64, x: float, z: float) -> F64:
@@ -78,8 +78,8 @@ def moved(T_wc: F64, x: float, z: float) -> F64:
 
 def loss_surface(scene: Scene, offsets: F64, config: PanogsConfig) -> F64:
     """(n, n) loss at offsets (n,), in median depths: [i, j] at z = offsets[i], x = offsets[j]."""
-    renderer = Renderer(scene.camera, "sphere", config.low_pass)
-    weights = pixel_weights(scene.camera, config.loss)
+    renderer = Renderer(scene.camera, "sphere", config.rendering.low_pass)
+    weights = pixel_weights(scene.camera, config.rendering.weights)
     out = np.empty((len(offsets), len(offsets)))
     for i, z in enumerate(offsets * scene.median_depth):
         for j, x in enumerate(offsets * scene.median_depth):
@@ -92,7 +92,7 @@ def track_from(
     scene: Scene, distances: F64, directions: int, config: PanogsConfig, error_limit: float, rotation_limit_deg: float
 ) -> list[Start]:
     """Track the frame from starts on rings (radii in median depths) around the true pose, each with a fresh tracker."""
-    renderer = Renderer(scene.camera, "sphere", config.low_pass, stop=1e-3)
+    renderer = Renderer(scene.camera, "sphere", config.rendering.low_pass, stop=1e-3)
     out = []
     for distance in distances:
         for angle in np.arange(directions) * 2 * np.pi / directions:
@@ -114,7 +114,7 @@ def pose_hessian(scene: Scene, config: PanogsConfig) -> F64:
     Translations in median depths, rotations in radians, divided by the number of valid pixels: so fields of view and
     scenes of different size can be compared.
     """
-    renderer = Renderer(scene.camera, "sphere", config.low_pass, stop=1e-3)
+    renderer = Renderer(scene.camera, "sphere", config.rendering.low_pass, stop=1e-3)
     tracker = Tracker(scene.camera, renderer, config)
     tracker.reset(scene.T_wc)
     alignment = tracker.track(scene.image, scene.map).alignment

@@ -39,24 +39,24 @@ def begun(images):
 def test_the_first_layer_is_two_away_and_noisy(images):
     mapper = make_mapper(dataclasses.replace(FAST, initial_iterations=0))
     mapper.begin(mapper.keyframe(0, images[0], np.eye(4), 0.0, 0.0))
-    z = mapper.map.means[:, 2]
+    z = mapper.map.gaussians.means[:, 2]
     assert len(z) == 96 * 72 // 32
     assert np.mean(z) == pytest.approx(2.0, abs=0.1)
     assert np.std(z) == pytest.approx(0.3, abs=0.06)
 
 
 def test_the_first_view_is_learnt(begun, images):
-    shown = begun.trainer.renderer.forward(begun.map, np.eye(4)).colour
+    shown = begun.trainer.renderer.forward(begun.map.gaussians, np.eye(4)).colour
     assert -10 * np.log10(np.mean((shown - images[0] / 255) ** 2)) > 25
 
 
 def test_tracking_finds_a_pose_and_an_exposure(begun):
     """Of a frame that is a render of the map, so that the truth is exact."""
     T = make_pose(so3_exp([0.01, 0.02, -0.01]), [0.02, -0.02, 0.03])
-    out = begun.trainer.renderer.forward(begun.map, T)
+    out = begun.trainer.renderer.forward(begun.map.gaussians, T)
     frame = np.clip(out.colour * 0.9 * 255 + 8, 0, 255).astype(np.uint8)
     config = dataclasses.replace(FAST, tracking_iterations=100)
-    found = track(config, begun.trainer.renderer, begun.map, frame, CAMERA.valid_mask(), np.eye(4))
+    found = track(config, begun.trainer.renderer, begun.map.gaussians, frame, CAMERA.valid_mask(), np.eye(4))
     off = invert_pose(T) @ found.T_wc
     assert np.linalg.norm(off[:3, 3]) < 0.3 * np.linalg.norm(T[:3, 3])
     assert np.linalg.norm(so3_log(off[:3, :3])) < 0.3 * np.linalg.norm(so3_log(T[:3, :3]))
@@ -79,14 +79,14 @@ def test_a_keyframe_adds_gaussians_near_the_rendered_depth(images):
     mapper = make_mapper()
     mapper.begin(mapper.keyframe(0, images[0], np.eye(4), 0.0, 0.0))
     T = se3_exp([0.05, 0, 0, 0, 0, 0])
-    out = mapper.trainer.renderer.forward(mapper.map, T, count_touched=True)
+    out = mapper.trainer.renderer.forward(mapper.map.gaussians, T, count_touched=True)
     middle, spread = median_depth(out, CAMERA.valid_mask())
     before = len(mapper.map)
     new = mapper.keyframe(5, images[5], T, 0.0, 0.0)
-    new.touched = out.touched
+    new.seen = mapper.seen(out.touched)
     assert mapper.extend(new, out)
     assert new.number == 1
-    added = mapper.map.means[before:] - T[:3, 3].astype(np.float32)
+    added = mapper.map.gaussians.means[before:] - T[:3, 3].astype(np.float32)
     assert len(added) == 96 * 72 // 64
     assert abs(np.median(np.linalg.norm(added, axis=1)) - middle) < spread
     assert [k.index for k in mapper.window] == [5, 0]
@@ -97,13 +97,13 @@ def test_unconfirmed_gaussians_go_once_the_window_is_full(images):
     mapper.begin(mapper.keyframe(0, images[0], np.eye(4), 0.0, 0.0))
     for i in (1, 2):
         new = mapper.keyframe(i, images[i], np.eye(4), 0.0, 0.0)
-        out = mapper.trainer.renderer.forward(mapper.map, np.eye(4), count_touched=True)
-        new.touched = out.touched
+        out = mapper.trainer.renderer.forward(mapper.map.gaussians, np.eye(4), count_touched=True)
+        new.seen = mapper.seen(out.touched)
         assert mapper.extend(new, out)
-    mapper.trainer.map.means[:40] = [0, 0, -5]  # behind all keyframes
+    mapper.map.gaussians.means[:40] = [0, 0, -5]  # behind all keyframes
     count = len(mapper.map)
     mapper._prune_unconfirmed()
-    assert not (mapper.map.means[:, 2] < -4).any()
+    assert not (mapper.map.gaussians.means[:, 2] < -4).any()
     assert 0 < len(mapper.map) <= count - 40
 
 

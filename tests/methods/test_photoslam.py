@@ -75,7 +75,7 @@ def test_depth_comes_from_the_points_around():
     points.position[:] = T[:3, 3] + 1.5 * (points.position - T[:3, 3])
     mapper = PhotoslamMapper(camera, QUICK, 0)
     mapper.add(points, 0, 0, np.full((32, 64, 3), 90, np.uint8))
-    distance = np.linalg.norm(mapper.trainer.map.means - T[:3, 3], axis=1)
+    distance = np.linalg.norm(mapper.map.gaussians.means - T[:3, 3], axis=1)
     assert np.median(np.abs(distance / 3.0 - 1)) < 0.05
 
 
@@ -89,12 +89,12 @@ def test_gaussians_follow_their_keyframe():
     mapper.add(points, 0, 0, image)
     assert mapper.follow(points) == 0
     renderer = mapper.levels[0].renderer
-    before = renderer.forward(mapper.trainer.map, T)
+    before = renderer.forward(mapper.map.gaussians, T)
     new = se3_exp([0.3, 0.1, -0.2, 0.05, 0.1, 0.0]) @ T
     points.position[:] = (1.25 * (points.position - T[:3, 3]) @ T[:3, :3]) @ new[:3, :3].T + new[:3, 3]
     points.keyframes[0].T_cw = invert_pose(new)
     assert mapper.follow(points) == 1
-    after = renderer.forward(mapper.trainer.map, new)
+    after = renderer.forward(mapper.map.gaussians, new)
     np.testing.assert_allclose(after.planes, before.planes, atol=0.02)
     np.testing.assert_allclose(after.depth, 1.25 * before.depth, rtol=0.02, atol=0.02)
 

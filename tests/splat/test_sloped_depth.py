@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from panobench.cameras.erp import ErpCamera
-from panobench.methods.panogs.surface import equal_area_pixels, seed_gaussians
+from panobench.methods.splatting.seeding import equal_area_pixels, seed_gaussians
 from panobench.splat.render import Renderer
 
 CAMERA = ErpCamera(128, 64)

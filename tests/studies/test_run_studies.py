@@ -101,10 +101,10 @@ def test_ablation_changes_one_thing_at_a_time(tmp_path: Path, answers: Any) -> N
     result = ablation.run(study(tmp_path, sequences="room1,room2"))
     settings = {(c.request.preset, tuple(c.request.settings.items()), c.request.depth) for c in answers["cells"]}
     assert (None, (), None) in settings
-    assert (None, (("loss", "uniform"),), None) in settings
-    assert ("paper", (("loss", "gaussian"),), None) in settings
-    assert ("paper", (("solver", "gauss-newton"),), None) in settings
-    assert (None, (("depth_guided", False), ("sweep", False)), "constant") in settings
+    assert (None, (("rendering.weights", "uniform"),), None) in settings
+    assert ("paper", (("rendering.weights", "gaussian"),), None) in settings
+    assert ("paper", (("tracking.solver", "gauss-newton"),), None) in settings
+    assert (None, (("seeding.depth_guided", False), ("fixed_lag.sweep", False)), "constant") in settings
     assert len(answers["cells"]) == 2 * 12
     full = row(result, "ablation", Method="PanoGS-SLAM", Preset="default")
     assert full["ATE geom. mean [cm] ↓"] == pytest.approx(1.0)
@@ -128,7 +128,7 @@ def test_every_variant_is_one_panogs_has(preset: str) -> None:
 def test_iterations_set_both_counts_and_give_speed(tmp_path: Path, answers: Any) -> None:
     result = iterations.run(study(tmp_path, counts="15/30,100/100"))
     settings = [c.request.settings for c in answers["cells"]]
-    assert {"tracking_iterations": 100, "mapping_iterations": 100} in settings
+    assert {"tracking.iterations": 100, "mapping.iterations": 100} in settings
     assert settings[-1] == {}
     assert answers["cells"][-1].request.preset is None
     assert [c.request.camera for c in answers["cells"] if c.request.method == "monogs"] == ["pinhole:front"] * 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +12,11 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.methods.monogs.config import MonogsConfig
 from panobench.methods.monogs.tracker import CameraAdam, bright, camera_rates
-from panobench.methods.panogs.keyframes import update_window
-from panobench.methods.panogs.views import View
+from panobench.methods.splatting.covisibility import update_window
 from panobench.methods.splatting.densify import fade, grow, logit, prune
+from panobench.methods.splatting.trainable_map import TrainableMap
 from panobench.methods.splatting.trainer import GaussianTrainer
+from panobench.methods.splatting.views import SeenGaussians, View
 from panobench.splat.adam import LearningRates
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.render import Render, Renderer
@@ -54,14 +54,11 @@ class MonogsMapper:
     def __init__(self, camera: Camera, renderer: Renderer, config: MonogsConfig, rng: np.random.Generator) -> None:
         self.camera, self.config, self.rng = camera, config, rng
         self.valid, self.rays = camera.valid_mask(), camera.rays()
-        self.trainer = GaussianTrainer(renderer, isotropy=config.isotropy)
+        self.map = TrainableMap()
+        self.trainer = GaussianTrainer(renderer, self.map, isotropy=config.isotropy)
         self.window: list[Keyframe] = []
         self.keyframes: list[Keyframe] = []
         self.steps = 0
-
-    @property
-    def map(self) -> GaussianMap:
-        return self.trainer.map
 
     def keyframe(self, index: int, image: NDArray[np.uint8], T_wc: Array, gain: float, offset: float) -> Keyframe:
         """The next keyframe; it becomes one of the map's with ``begin`` or ``extend``."""
@@ -83,7 +80,7 @@ class MonogsMapper:
             if step % c.initial_update == 0:
                 self._densify(0.005, 30 * c.extent, None)
             if step == c.initial_fade:
-                fade(self.trainer, 0.01)
+                fade(self.map, 0.01)
         self._look()
 
     def extend(self, view: Keyframe, render: Render) -> bool:
@@ -97,8 +94,7 @@ class MonogsMapper:
         noise = self.rng.standard_normal(depth.shape) * np.where(wild, 0.5 * spread, 0.2 * spread)
         depth = np.maximum(np.where(wild, middle, depth) + noise, 0.05 * middle)
         before = len(self.window)
-        window = update_window(cast("list[View]", self.window), view, self.config.window)
-        self.window = cast("list[Keyframe]", window)
+        self.window = update_window(self.window, view, self.config.window, self.map.ids)
         self.keyframes.append(view)
         self._insert(view, depth.astype(np.float32), self.config.later_share)
         return not (before < self.config.window and len(self.window) <= before)
@@ -124,7 +120,7 @@ class MonogsMapper:
             np.full(count, logit(c.initial_opacity)),
             view.image[row, column] / np.float32(255),
         )
-        self.trainer.add(new, view.number)
+        self.map.append(new, view.number)
 
     # -- optimising --------------------------------------------------------------------------------------------
 
@@ -155,7 +151,7 @@ class MonogsMapper:
             if self.steps % c.update_every == c.update_offset % c.update_every:
                 self._densify(c.prune_opacity, c.extent, c.prune_pixels)
             elif self.steps % c.fade_every == 0:
-                fade(self.trainer, UNSEEN_OPACITY, self._seen_by_window().sum(axis=0) == 0)
+                fade(self.map, UNSEEN_OPACITY, self._seen_by_window().sum(axis=0) == 0)
         self._prune_unconfirmed()
         self._look()
         return loss
@@ -183,17 +179,17 @@ class MonogsMapper:
     def _densify(self, opacity: float, extent: float, pixels: float | None) -> None:
         most = int(MOST_PER_PIXEL * np.count_nonzero(self.valid))
         pull = self.config.pull * ROWS / self.camera.height
-        grow(self.trainer, pull, 0.01 * extent, self.rng, most)
+        grow(self.map, pull, 0.01 * extent, self.rng, most)
         huge = None if pixels is None else self._radii() > pixels
-        prune(self.trainer, opacity, 0.1 * extent if pixels is not None else np.inf, huge)
+        prune(self.map, opacity, 0.1 * extent if pixels is not None else np.inf, huge)
 
     def _radii(self) -> Array:
         """Largest radius (three standard deviations) in pixels over the window's keyframes that may see it (N,)."""
-        size = 3 * np.exp(self.map.log_scales.max(axis=1)) / self.trainer.renderer.view.pixel_angle
+        size = 3 * np.exp(self.map.gaussians.log_scales.max(axis=1)) / self.trainer.renderer.view.pixel_angle
         out = np.zeros(len(self.map))
         for view in self.window:
             T = invert_pose(view.T_wc)
-            p = self.map.means @ T[:3, :3].T + T[:3, 3]
+            p = self.map.gaussians.means @ T[:3, :3].T + T[:3, 3]
             out = np.maximum(out, np.where(p[:, 2] > 0, size / np.maximum(np.linalg.norm(p, axis=1), 1e-6), 0.0))
         return out
 
@@ -203,22 +199,26 @@ class MonogsMapper:
         """(K, N): which Gaussians each keyframe of the window touches."""
         rows = []
         for view in self.window:
-            out = self.trainer.renderer.forward(self.map, view.T_wc, count_touched=True)
+            out = self.trainer.renderer.forward(self.map.gaussians, view.T_wc, count_touched=True)
             assert out.touched is not None
             rows.append(out.touched > 0)
         return np.stack(rows)
 
+    def seen(self, touched: NDArray) -> SeenGaussians:
+        """The Gaussians of the map (N,) that a render of it touches."""
+        return SeenGaussians.of(touched, self.map.ids, self.map.next_id)
+
     def _look(self) -> None:
         """Remember what the window sees, for the next overlap."""
         for view, seen in zip(self.window, self._seen_by_window()):
-            view.touched = seen.astype(np.int32)
+            view.seen = self.seen(seen)
 
     def _prune_unconfirmed(self) -> None:
         """With a full window: Gaussians of its newest three keyframes that at most three of them see go."""
-        if len(self.window) < self.config.window or not len(self.trainer):
+        if len(self.window) < self.config.window or not len(self.map):
             return
         seen = self._seen_by_window().sum(axis=0)
-        young = self.trainer.origin >= sorted((k.number for k in self.window), reverse=True)[2]
+        young = self.map.anchors >= sorted((k.number for k in self.window), reverse=True)[2]
         drop = young & (seen <= self.config.prune_seen)
         if drop.any() and not drop.all():
-            self.trainer.keep(~drop)
+            self.map.keep(~drop)

@@ -18,7 +18,7 @@ from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.monogs.config import MonogsConfig
 from panobench.methods.monogs.mapper import Keyframe, MonogsMapper, median_depth
 from panobench.methods.monogs.tracker import TrackedFrame, track
-from panobench.methods.panogs.keyframes import overlap
+from panobench.methods.splatting.covisibility import overlap
 from panobench.splat.render import Renderer
 from panobench.types import Estimate, Frame, Trajectory
 
@@ -62,7 +62,7 @@ class MonogsMethod(OnlineMethod):
             self._begin(frame, np.eye(4))
             self.numbers[frame.index]["mapping_s"] = time.perf_counter() - began
             return self.T_last.copy()
-        found = track(self.config, self.renderer, self.mapper.map, frame.image, self.valid, self.T_last)
+        found = track(self.config, self.renderer, self.mapper.map.gaussians, frame.image, self.valid, self.T_last)
         numbers = {
             "tracking_s": time.perf_counter() - began,
             "loss": found.loss,
@@ -94,8 +94,8 @@ class MonogsMethod(OnlineMethod):
         """By co-visibility alone until the window is full; then by co-visibility and translation over depth."""
         c, last = self.config, mapper.window[0]
         assert found.render.touched is not None
-        assert last.touched is not None
-        common = overlap(found.render.touched > 0, last.touched > 0)
+        assert last.seen is not None
+        common = overlap(mapper.seen(found.render.touched), last.seen, mapper.map.ids)
         if len(mapper.window) < c.window:
             return frame.index - last.index >= c.keyframe_interval and common < c.keyframe_overlap
         depth, _ = median_depth(found.render, self.valid)
@@ -105,7 +105,8 @@ class MonogsMethod(OnlineMethod):
 
     def _add_keyframe(self, mapper: MonogsMapper, frame: Frame, found: TrackedFrame) -> None:
         view = mapper.keyframe(frame.index, frame.image, found.T_wc, found.gain, found.offset)
-        view.touched = found.render.touched
+        assert found.render.touched is not None
+        view.seen = mapper.seen(found.render.touched)
         if not mapper.extend(view, found.render):
             # The first window broke apart: the map is not to be trusted.
             self.restarts += 1
@@ -127,7 +128,7 @@ class MonogsMethod(OnlineMethod):
         return Estimate(
             Trajectory(np.array([r.time for r in records]), poses),
             keyframes=self.keyframes,
-            map=self.mapper.map if len(self.mapper.map) else None,
+            map=self.mapper.map.gaussians if len(self.mapper.map) else None,
             frames=self.numbers,
             extra={"gaussians": len(self.mapper.map), "restarts": self.restarts},
         )
@@ -137,5 +138,5 @@ class MonogsMethod(OnlineMethod):
         if self.mapper is None or not len(self.mapper.map):
             return None
         projection = self.config.projection if camera.kind == "pinhole" else "sphere"
-        out = Renderer(camera, projection, self.config.low_pass).forward(self.mapper.map, T_wc)
+        out = Renderer(camera, projection, self.config.low_pass).forward(self.mapper.map.gaussians, T_wc)
         return np.ascontiguousarray(np.clip(out.colour, 0.0, 1.0))

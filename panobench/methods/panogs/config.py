@@ -1,138 +1,259 @@
-"""Options of PanoGS-SLAM. The defaults are the best we have; ``PAPER`` is the paper's setting."""
+"""Options of PanoGS-SLAM, stage by stage. The defaults are the best we have; ``PAPER`` is the paper's setting."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
-_POSITIVE = ("constant_depth", "keyframe_wide", "pixels_per_gaussian", "scale_factor", "tracking_pixels", "window")
+from panobench.options import Options, option
 
 
 @dataclass(frozen=True)
-class PanogsConfig:
-    """Grouped by stage; lengths named ``_rel`` are in units of the median scene depth."""
+class RenderingOptions(Options):
+    """Rendering and its loss."""
 
-    # Rendering
-    projection: Literal["auto", "sphere", "erp", "pinhole"] = "auto"
-    low_pass: float = 0.1
-    # Tracking
-    solver: Literal["gauss-newton", "adam"] = "gauss-newton"
-    tracking_iterations: int = 15  # of solver "adam"
-    tracking_renders: int = 2
-    tracking_pixels: int = 16384  # of every level of the pyramid that are aligned, evenly spread; all in a narrow view
-    exposure: bool = False  # gain and offset are unknowns of every alignment
-    match_exposure: bool = True  # frames are brought to the map's exposure if theirs differs plainly
-    relocalise: bool = True  # a frame the map does not explain gets no pose until it is found again
-    loss: Literal["cosine", "uniform", "gaussian"] = "cosine"
-    # Keyframes (MonoGS's rule)
-    window: int = 8
-    keyframe_overlap: float = 0.9
-    keyframe_min_rel: float = 0.05
-    keyframe_max_rel: float = 0.08
-    keyframe_wide: float = 1.5  # both times so much in wide views: they still see most of it from there
-    keyframe_interval: int = 5
-    keyframe_new: float = 0.04
-    keyframe_new_interval: int = 4
-    # Gaussians
-    pixels_per_gaussian: float = 6.0  # of the seeds; the map gets finer where it must (densify)
-    insert_opacity: float = 0.5
-    insert_error: float = 0.12
-    sweep: bool = True  # depth of newly seen regions from the last frames, not from the nearest pixel
-    sweep_share: float = 0.005  # of the image that must be new for a sweep
-    delay: int = 12  # frames looked back: the length of the smoothed window, and what a newly seen region waits
-    delay_min: int = 4  # the same in a narrow view that turns away from what it saw
-    delay_share: float = 0.6  # of the view of a frame looked back to that the newest must still see
-    guess_share: float = 0.2  # unknown share of a narrow view above which the nearest depth is taken at once
-    smooth: bool = True  # refine the poses of the last frames jointly with depth, behind the tracker
-    adjust: bool = True  # fit the trajectory to windows of bundle adjustment over all frames
-    laps: bool = True  # places come back to tie the whole trajectory together, in the end
-    sweep_confidence: float = 0.2
-    carve: bool = True  # drop Gaussians in front of a swept surface where the colour is wrong
-    depth_guided: bool = True  # False: the "w/o DGIS" ablation
-    flatten: float = 0.15
-    scale_factor: float = 0.55
-    initial_opacity: float = 0.9
-    # Mapping
-    mapping_iterations: int = 8
-    steps_per_frame: int = 4  # mapping steps are spread over frames, about so many each; 0: all at the keyframe
-    initial_iterations: int = 20
-    random_views: int = 2
-    random_from: Literal["frames", "keyframes"] = "frames"
-    frame_pool: int = 300  # frames outside the window whose images are kept for mapping
-    refine_poses: bool = True
-    pose_rate_rotation: float = 2e-4
-    pose_rate_translation_rel: float = 2e-4
-    position_rate_rel: float = 1e-3
-    scale_rate: float = 0.04
-    rotation_rate: float = 0.06
-    lift: float = 0.2  # factors on the rates of leaving the disc's plane and of tilting it
-    tilt: float = 0.1
-    opacity_rate: float = 0.1
-    colour_rate: float = 0.02
-    loss_knee: float = 0.05
-    adam_beta1: float = 0.8
-    adam_beta2: float = 0.99
-    isotropy: float = 0.0
-    densify: bool = True  # seeds follow the detail of the image, and discs too coarse for it are split
-    split_error: float = 0.06  # colour error over a disc's pixels from which it is split, and its least size there
-    split_size_px: float = 1.0
-    split_new: float = 0.02  # with more of the image unknown or wrong nothing is split: that is not for want of detail
-    prune_opacity: float = 0.05
-    hidden_px: float = 0.01  # a view's steps leave out what makes up fewer of its pixels than that, in sum
-    final_iterations: int = 15  # steps per keyframe at the end, on all views, with falling rates
-    loop: bool = False  # close loops: parts of the map long out of sight sleep, are recognised, correct the drift since
-    # Depth of the first frame when the run names no estimator
-    constant_depth: float = 2.0
+    projection: Literal["auto", "sphere", "erp", "pinhole"] = option("auto", "projection of Gaussians; auto is sphere")
+    low_pass: float = option(0.1, "variance added to every footprint", unit="px^2")
+    weights: Literal["cosine", "uniform", "gaussian"] = option(
+        "cosine", "weights of the latitudes, in the loss and in alignment"
+    )
+    knee: float = option(0.05, "residual below which the loss is quadratic", unit="of 1")
 
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if isinstance(value, (int, float)) and not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{f.name} must be a number from 0 up, not {value}")
-        for name in _POSITIVE:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0")
-        for name in ("adam_beta1", "adam_beta2", "initial_opacity"):
-            if not getattr(self, name) < 1:
-                raise ValueError(f"{name} must be below 1")
+
+@dataclass(frozen=True)
+class StartOptions(Options):
+    """The first map."""
+
+    iterations: int = option(20, "mapping steps on the first keyframe")
+    constant_depth: float = option(2.0, "depth of the first frame if no estimator is named", above=0)
+
+
+@dataclass(frozen=True)
+class ExposureOptions(Options):
+    """Bringing frames to the map's exposure (wide views only)."""
+
+    match: bool = option(True, "bring frames whose exposure plainly differs from the map's to it")
+    least_before: float = option(0.04, "least log gain that is corrected before tracking")
+    least_after: float = option(0.015, "least log gain that is corrected after tracking, before mapping")
+
+
+@dataclass(frozen=True)
+class TrackingOptions(Options):
+    """Alignment of a frame to renders of the map."""
+
+    solver: Literal["gauss-newton", "adam"] = option("gauss-newton", "adam is the paper's, on the rendering loss")
+    iterations: int = option(15, "steps of solver adam")
+    renders: int = option(2, "renders of the map per frame, at most", above=0)
+    pixels: int = option(16384, "pixels aligned per pyramid level, evenly spread; a narrow view uses all", above=0)
+    exposure: bool = option(False, "solve for gain and offset in every alignment")
+    opacity_min: float = option(0.9, "opacity below which a rendered pixel has no depth to align to", maximum=1.0)
+    render_again_px: float = option(0.7, "distance from the last render beyond which another one is made", unit="px")
+
+
+@dataclass(frozen=True)
+class RelocalisationOptions(Options):
+    """Noticing that the camera is lost, and finding it again."""
+
+    enabled: bool = option(True, "give no pose to a frame that the map does not explain, until it is found again")
+    unusual: float = option(1.5, "residual, over the median of the last frames, from which a pose is checked")
+    usual_frames: int = option(20, "frames in that median", above=0)
+    agree_tracked: float = option(0.4, "share of blocks that must agree with the map for a camera that was tracked")
+    agree_lost: float = option(0.5, "the same for a camera that was lost")
+    agree_surely: float = option(0.85, "the same at which the search ends at once")
+    likeness_min: float = option(0.25, "correlation of thumbnails from which a keyframe is a start of the search")
+    starts: int = option(8, "starts tried for a frame while the camera has just been lost")
+    starts_later: int = option(3, "starts tried for a frame after ``patience`` frames")
+    patience: int = option(5, "frames with the larger number of starts")
+    rounds: int = option(4, "renders and alignments from one start")
+
+
+@dataclass(frozen=True)
+class KeyframeOptions(Options):
+    """When a frame becomes a keyframe (MonoGS's rule), and the window of keyframes."""
+
+    window: int = option(8, "keyframes in the window", above=0)
+    overlap: float = option(0.9, "co-visibility with the last keyframe below which a frame may become one")
+    distance_min: float = option(
+        0.05, "distance from the last keyframe at which low co-visibility counts", unit="depths"
+    )
+    distance_max: float = option(0.08, "distance from it at which a frame becomes one", unit="depths")
+    wide: float = option(1.5, "factor on both distances in wide views, which still see most of the scene", above=0)
+    interval: int = option(5, "least distance between keyframes while the window fills", unit="frames")
+    new_share: float = option(0.04, "share of the image that is unknown or wrong from which a frame becomes a keyframe")
+    new_interval: int = option(4, "least distance between such keyframes", unit="frames")
+
+
+@dataclass(frozen=True)
+class SeedingOptions(Options):
+    """New Gaussians."""
+
+    pixels_per_gaussian: float = option(6.0, "pixels per seed; the map gets finer where it must", above=0)
+    opacity_below: float = option(0.5, "rendered opacity below which the map is thin", maximum=1.0)
+    error_above: float = option(0.12, "mean colour error over 5 x 5 pixels from which the map is wrong", unit="of 1")
+    depth_guided: bool = option(True, "depth from the nearest pixel that has one; off: the ablation w/o DGIS")
+    guess_share: float = option(0.2, "unknown share of a narrow view from which the nearest depth is used at once")
+    flatten: float = option(0.15, "thickness of a disc over its width")
+    scale_factor: float = option(0.55, "standard deviation of a disc over the distance between seeds", above=0)
+    opacity: float = option(0.9, "opacity of a new Gaussian", below=1)
+    carve: bool = option(True, "drop Gaussians in front of a swept surface where the colour is wrong")
+    carve_depth: float = option(0.85, "share of the swept depth below which a Gaussian stands in front of it")
+    carve_share: float = option(0.25, "share of a Gaussian's weight on wrong pixels from which it is dropped")
+
+
+@dataclass(frozen=True)
+class DensityOptions(Options):
+    """Refining and thinning the map."""
+
+    adaptive: bool = option(True, "seeds follow the detail of the image, and discs too coarse for it are split")
+    split_error: float = option(0.06, "mean colour error over a disc's pixels from which it is split", unit="of 1")
+    split_size_px: float = option(1.0, "least standard deviation of a disc that is split", unit="px")
+    split_share: float = option(0.05, "share of all Gaussians split at once, at most")
+    split_new_share: float = option(0.02, "share of the image unknown or wrong above which nothing is split")
+    prune_opacity: float = option(0.05, "opacity below which a Gaussian is dropped", above=0, below=1)
+    largest: float = option(0.3, "largest standard deviation of a Gaussian", unit="depths")
+
+
+@dataclass(frozen=True)
+class FixedLagOptions(Options):
+    """Fixed-lag smoothing of the last poses, and depth of new regions swept over the last frames."""
+
+    lag: int = option(12, "frames between the newest frame and the one that receives depth", above=0)
+    lag_min: int = option(4, "the same, at least, in a narrow view that turns away from what it saw")
+    view_share: float = option(0.6, "share of that frame's view that the newest must still see (narrow views)")
+    step_min: float = option(0.008, "distance from the last buffered frame at which a frame is buffered", unit="depths")
+    sweep: bool = option(True, "sweep the depth of new regions; off: the nearest pixel's")
+    new_share: float = option(0.005, "share of the image that must be new for a sweep")
+    confidence: float = option(0.2, "confidence from which swept depth is used")
+    parallax_min: float = option(0.03, "translation that a sweep needs", unit="depths")
+    near: float = option(0.1, "nearest depth swept", unit="depths", above=0)
+    far: float = option(15.0, "farthest depth swept", unit="depths", above=0)
+    smooth: bool = option(True, "refine the poses of the last frames jointly with depth")
+    shared_min: int = option(4, "frames two lags must share for the scale to pass from one to the other")
+    stretch_max: float = option(1.25, "largest change of scale of one lag, either way", above=0)
+
+
+@dataclass(frozen=True)
+class FactorOptions(Options):
+    """Bundle-adjustment factors between frames, and the trajectory that suits them."""
+
+    enabled: bool = option(True, "fit the trajectory to bundle-adjustment factors over all frames")
+    every: int = option(8, "a reference frame every so many frames that moved", above=0)
+    reach: int = option(24, "frames on either side that a reference is compared with", above=0)
+    renew_after: int = option(48, "frames after which a factor is made again if the map's depth has changed", above=0)
+    renew_change: float = option(0.01, "median change of the log depth from which it is made again")
+    late: int = option(4, "frames a factor may wait for other work")
+    free: int = option(96, "last frames whose poses a fit may change", above=0)
+    prior_translation: float = option(0.006, "standard deviation of a tracked position", unit="depths", above=0)
+    prior_rotation: float = option(0.005, "standard deviation of a tracked rotation", unit="rad", above=0)
+
+
+@dataclass(frozen=True)
+class RevisitOptions(Options):
+    """Loop factors from revisits: places the camera comes back to tie the whole trajectory together, at the end."""
+
+    enabled: bool = option(True, "look for revisits")
+    old: int = option(200, "frames that moved after which a place counts as left", above=0)
+    near: float = option(0.3, "distance from an old place that counts as back", unit="depths")
+    old_most: int = option(6, "old references that a reference is compared with, at most")
+    recent: int = option(3, "recent references in the same factor", above=0)
+    cost_max: float = option(2.0, "alignment cost of an old reference over the median cost of recent ones, at most")
+    overlap_min: float = option(0.6, "share of the view that an old reference must share")
+    prior_translation: float = option(1.0, "standard deviation of a position that has drifted", unit="depths", above=0)
+    prior_rotation: float = option(0.5, "standard deviation of a rotation that has drifted", unit="rad", above=0)
+
+
+@dataclass(frozen=True)
+class MappingOptions(Options):
+    """Training steps on the map."""
+
+    iterations: int = option(8, "steps per keyframe")
+    steps_per_frame: int = option(4, "steps spread over frames, about so many each; 0: all at the keyframe")
+    backlog: int = option(
+        8, "a frame does more steps than usual once so many times more than usual are planned", above=0
+    )
+    random_views: int = option(2, "views outside the window in each round of steps")
+    random_from: Literal["frames", "keyframes"] = option("frames", "where these come from")
+    frame_pool: int = option(300, "frames outside the window whose images are kept for mapping")
+    refine_poses: bool = option(True, "refine the poses of the views along with the map")
+    isotropy: float = option(0.0, "weight of MonoGS's isotropy regulariser")
+    culling_px: float = option(
+        0.01, "summed weight below which a view's steps leave a Gaussian out; 0: draw all", unit="px"
+    )
+    final_iterations: int = option(15, "steps per keyframe at the end, on all views, with falling rates")
+    final_rate: float = option(0.1, "learning rates at the end of these steps over those at the start", above=0)
+
+
+@dataclass(frozen=True)
+class RateOptions(Options):
+    """Learning rates and Adam."""
+
+    position: float = option(1e-3, "step of a mean", unit="depths")
+    scale: float = option(0.04, "step of a log standard deviation")
+    rotation: float = option(0.06, "step of a rotation", unit="rad")
+    lift: float = option(0.2, "factor on the position's rate along a disc's normal")
+    tilt: float = option(0.1, "factor on the rotation's rate out of a disc's plane")
+    opacity: float = option(0.1, "step of an opacity logit")
+    colour: float = option(0.02, "step of a colour", unit="of 1")
+    pose_translation: float = option(2e-4, "step of a view's position", unit="depths")
+    pose_rotation: float = option(2e-4, "step of a view's rotation", unit="rad")
+    beta1: float = option(0.8, "decay of Adam's first moment", below=1)
+    beta2: float = option(0.99, "decay of Adam's second moment", below=1)
+
+
+@dataclass(frozen=True)
+class PanogsConfig(Options):
+    """Everything that tunes panogs. The unit "depths" is the median depth of the scene."""
+
+    rendering: RenderingOptions = field(default_factory=RenderingOptions)
+    start: StartOptions = field(default_factory=StartOptions)
+    exposure: ExposureOptions = field(default_factory=ExposureOptions)
+    tracking: TrackingOptions = field(default_factory=TrackingOptions)
+    relocalisation: RelocalisationOptions = field(default_factory=RelocalisationOptions)
+    keyframes: KeyframeOptions = field(default_factory=KeyframeOptions)
+    seeding: SeedingOptions = field(default_factory=SeedingOptions)
+    density: DensityOptions = field(default_factory=DensityOptions)
+    fixed_lag: FixedLagOptions = field(default_factory=FixedLagOptions)
+    factors: FactorOptions = field(default_factory=FactorOptions)
+    revisits: RevisitOptions = field(default_factory=RevisitOptions)
+    mapping: MappingOptions = field(default_factory=MappingOptions)
+    rates: RateOptions = field(default_factory=RateOptions)
 
 
 #: The paper's solver, iterations and projection.
 PAPER: dict[str, Any] = {
-    "projection": "erp",
-    "relocalise": False,
-    "keyframe_new": 1.0,
-    "keyframe_wide": 1.0,
-    "densify": False,
-    "hidden_px": 0.0,
-    "pixels_per_gaussian": 4.0,
-    "steps_per_frame": 0,
-    "match_exposure": False,
-    "carve": False,
-    "sweep": False,
-    "smooth": False,
-    "adjust": False,
-    "laps": False,
-    "solver": "adam",
-    "tracking_iterations": 15,
-    "mapping_iterations": 30,
-    "final_iterations": 0,
-    "initial_iterations": 60,
-    "tracking_renders": 1,
-    "low_pass": 0.3,
-    "position_rate_rel": 1.6e-4,
-    "scale_rate": 1e-3,
-    "rotation_rate": 2e-3,
-    "lift": 1.0,
-    "tilt": 1.0,
-    "opacity_rate": 0.05,
-    "colour_rate": 2.5e-3,
-    "loss_knee": 0.0,
-    "adam_beta1": 0.9,
-    "adam_beta2": 0.999,
-    "isotropy": 10.0,
+    "rendering.projection": "erp",
+    "rendering.low_pass": 0.3,
+    "rendering.knee": 0.0,
+    "start.iterations": 60,
+    "exposure.match": False,
+    "tracking.solver": "adam",
+    "tracking.iterations": 15,
+    "tracking.renders": 1,
+    "relocalisation.enabled": False,
+    "keyframes.new_share": 1.0,
+    "keyframes.wide": 1.0,
+    "seeding.pixels_per_gaussian": 4.0,
+    "seeding.carve": False,
+    "density.adaptive": False,
+    "fixed_lag.sweep": False,
+    "fixed_lag.smooth": False,
+    "factors.enabled": False,
+    "revisits.enabled": False,
+    "mapping.iterations": 30,
+    "mapping.steps_per_frame": 0,
+    "mapping.final_iterations": 0,
+    "mapping.culling_px": 0.0,
+    "mapping.isotropy": 10.0,
+    "rates.position": 1.6e-4,
+    "rates.scale": 1e-3,
+    "rates.rotation": 2e-3,
+    "rates.lift": 1.0,
+    "rates.tilt": 1.0,
+    "rates.opacity": 0.05,
+    "rates.colour": 2.5e-3,
+    "rates.beta1": 0.9,
+    "rates.beta2": 0.999,
 }
 #: For those who want the trajectory soon and a sketch of the map.
-FAST: dict[str, Any] = {"mapping_iterations": 5, "final_iterations": 3}
+FAST: dict[str, Any] = {"mapping.iterations": 5, "mapping.final_iterations": 3}
 PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER, "fast": FAST}

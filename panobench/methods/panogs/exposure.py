@@ -1,9 +1,9 @@
-"""Bringing frames to the map's exposure, so that nothing behind has to know of it.
+"""Exposure matching: frames are brought to the map's exposure, so that nothing else has to model it.
 
 The gain is the median, over blocks of the view, of the ratio of frame to render: an occluder or a lamp that goes on
-spoils some blocks, not the median. Before tracking the render is that of the last frame, which will do because a turn
-moves what a wide camera sees but hardly changes its median; after tracking it is of the same pose. Small gains are
-left alone: frames of a camera with fixed exposure go through untouched.
+spoils some blocks, not the median. Before tracking, the render is that of the last frame, which is good enough because
+a rotation moves what a wide camera sees but hardly changes its median. After tracking it is of the same pose. Small
+gains are left alone, so frames of a camera with fixed exposure stay untouched.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.methods.panogs.config import ExposureOptions
+from panobench.photometric.overlap import ViewWidth
 from panobench.splat.gaussians import F32
 from panobench.splat.render import Render
 
@@ -20,19 +22,17 @@ _BLOCKS = 32
 _KNOWN, _DARK, _SATURATED = 0.9, 0.06, 0.97
 #: Fewest blocks that give a gain.
 _ENOUGH = 24
-#: Gains nearer to 1 are left alone: measured against the last frame's render, and against the frame's own.
-BEFORE, AFTER = 0.04, 0.015
 _RANGE = (0.2, 5.0)
 
 
 Blocks = tuple[F32, NDArray[np.bool_]]
 
 
-class ExposureGuard:
-    """weights (H, W): of the loss. Does nothing for views that are not ``wide``: there a turn changes the median."""
+class ExposureMatcher:
+    """weights (H, W): of the loss. Leaves narrow views alone, because there a rotation changes the median."""
 
-    def __init__(self, weights: F32, wide: bool) -> None:
-        self.wide = wide
+    def __init__(self, weights: F32, width: ViewWidth, options: ExposureOptions) -> None:
+        self.enabled, self.options = options.match and width is ViewWidth.WIDE, options
         h, w = weights.shape
         self.size = (_BLOCKS, max(round(_BLOCKS * h / w), 1))
         self.weights = cv2.resize(weights, self.size, interpolation=cv2.INTER_AREA).ravel()
@@ -44,13 +44,19 @@ class ExposureGuard:
 
     def before(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The frame for tracking, judged by the last frame's render (at first by the first frame)."""
-        return image if self._last is None else self._corrected(image, self._last, BEFORE)
+        return (
+            image
+            if self._last is None or not self.enabled
+            else self._corrected(image, self._last, self.options.least_before)
+        )
 
     def after(self, image: NDArray[np.uint8], render: Render) -> NDArray[np.uint8]:
         """The frame for mapping, judged by its own render, which the next frame will be judged by."""
+        if not self.enabled:
+            return image
         known = self._blocks(render.opacity) > _KNOWN
         self._last = (self._blocks(render.planes.mean(axis=0)), known & (self.weights > 0))
-        return self._corrected(image, self._last, AFTER)
+        return self._corrected(image, self._last, self.options.least_after)
 
     def gain(self, image: NDArray[np.uint8], reference: Blocks) -> float:
         """Frame over reference; 1 if there is too little to compare."""
@@ -64,7 +70,7 @@ class ExposureGuard:
         return float(np.clip(ratio[order][np.searchsorted(total, 0.5 * total[-1])], *_RANGE))
 
     def _corrected(self, image: NDArray[np.uint8], reference: Blocks, least: float) -> NDArray[np.uint8]:
-        gain = self.gain(image, reference) if self.wide else 1.0
+        gain = self.gain(image, reference)
         if abs(np.log(gain)) < least:
             return image
         return np.asarray(cv2.convertScaleAbs(image, alpha=1.0 / gain))

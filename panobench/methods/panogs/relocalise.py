@@ -1,14 +1,15 @@
-"""Noticing that the camera is lost, and finding it again.
+"""Relocalisation: noticing that the camera is lost, and finding it again.
 
-A frame whose residuals are usual is not looked at twice. Others are compared with the map block by block
-(``agreement``). If too little agrees, alignment starts anew from other poses: where the camera last was, turned as
-thumbnails say, and at the keyframes that look most alike. What the map explains is the pose; else there is none.
+A frame whose residuals are usual is not checked further. Others are compared with the map block by block
+(``agreement``). If too little agrees, alignment starts again from other poses: the last good one, yawed as thumbnails
+say, and the keyframes that look most alike. The best pose that the map explains is taken; without one the camera is
+lost.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +17,11 @@ from numpy.typing import NDArray
 
 from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.agreement import agreement
-from panobench.methods.panogs.places import Places, turned
+from panobench.methods.panogs.config import RelocalisationOptions
+from panobench.methods.panogs.place_recognition import Places, yawed
 from panobench.methods.panogs.tracker import Tracked, Tracker
-from panobench.methods.panogs.views import View
+from panobench.methods.panogs.trajectory import WorldMotion
+from panobench.methods.splatting.views import View
 from panobench.photometric.align import align
 from panobench.photometric.pyramid import F32
 from panobench.splat.gaussians import GaussianMap
@@ -26,40 +29,34 @@ from panobench.splat.render import Render
 
 Pose = NDArray[np.float64]
 
-#: Residual over the last frames' median from which a frame is looked at, and how many frames make a median.
-UNUSUAL, USUAL_FRAMES = 1.5, 20
-#: Agreement below which a pose is not believed, for a camera that was tracked and for one that was lost.
-AGREE_TRACKED, AGREE_LOST = 0.4, 0.5
-#: Agreement at which the search ends at once.
-AGREE_SURELY = 0.85
-#: Likeness of a keyframe worth a start, and most starts per frame: just lost, and after ``PATIENCE`` frames.
-LIKENESS_MIN = 0.25
-STARTS, STARTS_LATER, PATIENCE = 8, 3, 5
-#: Rounds of rendering and alignment from one start.
-ROUNDS = 4
-
 
 class Relocaliser:
-    """Judges tracked frames; ``places`` has one thumbnail for each keyframe, in their order."""
+    """Judges tracked frames. places: one thumbnail for each keyframe, in their order."""
 
-    def __init__(self, tracker: Tracker, places: Places) -> None:
-        self.tracker, self.places = tracker, places
+    def __init__(self, tracker: Tracker, places: Places, options: RelocalisationOptions) -> None:
+        self.tracker, self.places, self.options = tracker, places, options
         # Exposure may have changed since a place was mapped.
-        self.options = replace(tracker.options, exposure=True)
-        self.usual: deque[float] = deque(maxlen=USUAL_FRAMES)
+        self.align_options = replace(tracker.align_options, exposure=True)
+        self.usual: deque[float] = deque(maxlen=options.usual_frames)
         self.lost_for = 0
         self._good: tuple[Pose, F32] | None = None
 
     def interrupted(self) -> None:
-        """A frame showed nothing: the next is looked at whatever its residuals."""
+        """A frame had no pose: the next one is checked whatever its residuals are."""
         self.lost_for += 1
 
     def judge(self, tracked: Tracked, gaussians: GaussianMap, keyframes: Sequence[View]) -> Tracked | None:
-        """``tracked`` if it can be believed, else what a search finds, else None. Sets the tracker's state."""
+        """``tracked`` if it can be trusted, else what a search finds, else None: the camera is lost.
+
+        Sets the tracker's state to what it returns, or to the last pose that was trusted.
+        """
+        o = self.options
+        if not o.enabled:
+            return tracked
         residual = tracked.cost if tracked.alignment is None else tracked.alignment.sigma
-        calm = self.lost_for == 0 and len(self.usual) > 0 and residual <= UNUSUAL * float(np.median(self.usual))
-        if not (calm and tracked.good):
-            checked = self._checked(tracked, gaussians, AGREE_LOST if self.lost_for else AGREE_TRACKED)
+        usual = self.lost_for == 0 and len(self.usual) > 0 and residual <= o.unusual * float(np.median(self.usual))
+        if not (usual and tracked.good):
+            checked = self._checked(tracked, gaussians, o.agree_lost if self.lost_for else o.agree_tracked)
             if checked is None:
                 return self._search(tracked, gaussians, keyframes)
             tracked = checked
@@ -76,10 +73,10 @@ class Relocaliser:
         render = self._render(gaussians, tracked.T_wc)
         return replace(tracked, render=render) if agreement(frame, render, weights) >= needed else None
 
-    def moved(self, move: Callable[[Pose], Pose]) -> None:
-        """The map was moved (a loop was closed): the last good pose goes with it."""
+    def world_moved(self, motion: WorldMotion) -> None:
+        """As ``WorldFollower.world_moved``: the last good pose goes along."""
         if self._good is not None:
-            self._good = (move(self._good[0]), self._good[1])
+            self._good = (motion.newest @ self._good[0], self._good[1])
 
     def _accept(self, tracked: Tracked, residual: float) -> None:
         self.usual.append(residual)
@@ -88,44 +85,42 @@ class Relocaliser:
 
     def _search(self, tracked: Tracked, gaussians: GaussianMap, keyframes: Sequence[View]) -> Tracked | None:
         frame = self.tracker.pyramid
-        best, most = None, AGREE_LOST
+        best, most = None, self.options.agree_lost
         for start in self._starts(frame[-1], keyframes):
             found = self.descend(frame, gaussians, start)
             share = agreement(frame, found.render, self.tracker.weights) if found.good else 0.0
             if share >= most:
                 best, most = found, share
-            if share >= AGREE_SURELY:
+            if share >= self.options.agree_surely:
                 break
         self.tracker.reference = None  # it may be of anywhere
         if best is None:
             self.lost_for += 1
             self.tracker.reset(self._good[0] if self._good else tracked.T_wc)
             return None
-        # The mapper goes on from the renderer's last picture.
-        best = replace(best, render=self._render(gaussians, best.T_wc))
         self.tracker.reset(best.T_wc)
         self._accept(best, best.alignment.sigma if best.alignment else best.cost)
         return best
 
     def _starts(self, luma: F32, keyframes: Sequence[View]) -> list[Pose]:
-        asked = self.places.thumbnail(luma)
+        o, asked = self.options, self.places.thumbnail(luma)
         starts: list[Pose] = []
         if self._good is not None:
             T, last = self._good
             starts.append(T)
-            starts += [turned(T, yaw) for _, yaw in self.places.compare(self.places.thumbnail(last), asked, peaks=2)]
-        alike = [m for m in self.places.find(asked, STARTS) if m.score >= LIKENESS_MIN]
-        starts += [turned(keyframes[m.number].T_wc, m.yaw) for m in alike]
-        if self.lost_for < PATIENCE:
-            return starts[:STARTS]
-        return [turned(keyframes[m.number].T_wc, m.yaw) for m in alike[:STARTS_LATER]]
+            starts += [yawed(T, yaw) for _, yaw in self.places.compare(self.places.thumbnail(last), asked, peaks=2)]
+        alike = [m for m in self.places.find(asked, o.starts) if m.score >= o.likeness_min]
+        starts += [yawed(keyframes[m.number].T_wc, m.yaw) for m in alike]
+        if self.lost_for < o.patience:
+            return starts[: o.starts]
+        return [yawed(keyframes[m.number].T_wc, m.yaw) for m in alike[: o.starts_later]]
 
     def descend(self, frame: list[F32], gaussians: GaussianMap, T_wc: Pose) -> Tracked:
         """Align on all levels to fresh renders until the frame stays where it is; the render is of the final pose."""
         tracker, T, iterations = self.tracker, T_wc, 0
-        for _ in range(ROUNDS):
+        for _ in range(self.options.rounds):
             render = tracker.renderer.forward(gaussians, T, sloped=True)
-            a = align(tracker.make_reference(render, len(frame)), frame, np.eye(4), self.options)
+            a = align(tracker.make_reference(render, len(frame)), frame, np.eye(4), self.align_options)
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations
             if tracker.moved_px(a.T_fr, render) < 1.0:

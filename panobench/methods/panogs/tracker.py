@@ -1,4 +1,4 @@
-"""The front-end: the pose of a frame against the map."""
+"""Tracking: the pose of a frame, by aligning it to renders of the map."""
 
 from __future__ import annotations
 
@@ -10,20 +10,16 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.views import PoseAdam
+from panobench.methods.panogs.trajectory import WorldMotion
+from panobench.methods.splatting.views import PoseAdam
 from panobench.photometric.align import Alignment, align
-from panobench.photometric.overlap import ViewShare
+from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pyramid import F32, luma_of_frame, luma_of_planes, pyramid
 from panobench.photometric.reference import AlignOptions, Reference, make_reference, watchful
 from panobench.photometric.weighting import reweighted
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
 from panobench.splat.render import Render, Renderer
-
-#: Pixels with less opacity have no trustworthy depth.
-OPACITY_MIN = 0.9
-#: A frame this far from its render is rendered again.
-_RENDER_AGAIN_PX = 0.7
 
 
 @dataclass
@@ -42,16 +38,16 @@ class Tracker:
     """Renders the map at the predicted pose and aligns the frame to it; re-renders once and refines."""
 
     def __init__(self, camera: Camera, renderer: Renderer, config: PanogsConfig) -> None:
-        self.camera, self.renderer, self.config = camera, renderer, config
+        self.camera, self.renderer, self.config, self.options = camera, renderer, config, config.tracking
         self.valid = camera.valid_mask()
         self.outside = ~self.valid
-        self.weights = pixel_weights(camera, config.loss)
-        pixels = None if ViewShare(camera).narrow else config.tracking_pixels
+        self.weights = pixel_weights(camera, config.rendering.weights)
+        pixels = None if ViewWidth.of(camera) is ViewWidth.NARROW else self.options.pixels
         fine = AlignOptions(
-            exposure=config.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5, pixels=pixels
-        )  # fmt: skip
+            exposure=self.options.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5, pixels=pixels
+        )
         fine = watchful(camera, fine)
-        self.options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
+        self.align_options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
         self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
         self.reference: Reference | None = None
         self.T_reference = np.eye(4)
@@ -65,11 +61,26 @@ class Tracker:
         self.T_last = T_wc
         self.velocity = np.eye(4) if velocity is None else velocity
 
-    def carried(self, move: NDArray[np.float64]) -> None:
-        """The world around the last frame has moved: x -> ``move`` x."""
-        self.T_reference = renormalise(move @ self.T_reference)
+    def restart(self, T_wc: NDArray[np.float64]) -> None:
+        """As ``reset``, somewhere else than the last render."""
+        self.reset(T_wc)
+        self.reference = None
+
+    def world_moved(self, motion: WorldMotion) -> None:
+        """As ``WorldFollower.world_moved``."""
+        self.T_reference = renormalise(motion.newest @ self.T_reference)
         if self.T_last is not None:
-            self.T_last = renormalise(move @ self.T_last)
+            self.T_last = renormalise(motion.newest @ self.T_last)
+
+    def expect(self, T_wc: NDArray[np.float64]) -> None:
+        """The next frame is expected at this pose."""
+        if self.T_last is not None:
+            self.velocity = invert_pose(self.T_last) @ T_wc
+
+    def coast(self) -> None:
+        """A frame that cannot be tracked: its motion is taken to be that of the frame before."""
+        if self.T_last is not None:
+            self.T_last = self.predict()
 
     def predict(self) -> NDArray[np.float64]:
         """Constant velocity. Composed poses drift off SO(3), hence the renormalisation."""
@@ -83,7 +94,7 @@ class Tracker:
         """Pose of ``image`` near the prediction."""
         start = self.predict()
         self.pyramid = self.frame_pyramid(image)
-        if self.config.solver == "adam":
+        if self.options.solver == "adam":
             result = self._track_adam(image, gaussians, start)
         else:
             result = self.align_to_map(self.pyramid, gaussians, start)
@@ -95,7 +106,7 @@ class Tracker:
     def align_to_map(self, frame: list[F32], gaussians: GaussianMap, T_wc: NDArray[np.float64]) -> Tracked:
         """Gauss-Newton from ``T_wc``: the coarse levels against the last render, then a fresh render for the finest.
 
-        Another render follows only if the frame turned out to be further than ``_RENDER_AGAIN_PX`` from the last.
+        Another render follows only if the frame turned out to be further than ``render_again_px`` from the last.
         """
         T, iterations = T_wc, 0
         if self.reference is not None:
@@ -103,24 +114,24 @@ class Tracker:
             a = align(self.reference, frame, start, self.coarse_options, finest=1)
             T = renormalise(self.T_reference @ invert_pose(a.T_fr))
             iterations += a.iterations
-        for k in range(max(self.config.tracking_renders, 1)):
+        for k in range(max(self.options.renders, 1)):
             known = k > 0 or self.reference is not None
-            weigh = self.config.hidden_px > 0
+            weigh = self.config.mapping.culling_px > 0
             render = self.renderer.forward(gaussians, T, count_touched=True, weigh=weigh, sloped=True)
             self.reference, self.T_reference = self.make_reference(render, len(frame)), T
-            a = align(self.reference, frame, np.eye(4), self.options, coarsest=1 if known else None)
+            a = align(self.reference, frame, np.eye(4), self.align_options, coarsest=1 if known else None)
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations
-            if self.moved_px(a.T_fr, render) < _RENDER_AGAIN_PX:
+            if self.moved_px(a.T_fr, render) < self.options.render_again_px:
                 break
         return Tracked(T, render, a.cost, iterations, bool(np.isfinite(a.cost)) and a.overlap > 0.5, a)
 
     def make_reference(self, render: Render, levels: int) -> Reference:
         # What is outside the field of view could only be looked for in vain, and would count as not found.
-        depth, luma = render.expected_depth(OPACITY_MIN), luma_of_planes(render.planes)
+        depth, luma = render.expected_depth(self.options.opacity_min), luma_of_planes(render.planes)
         depth[self.outside] = luma[self.outside] = np.nan
-        reference = make_reference(self.camera, luma, depth, levels, self.options)
-        return reweighted(reference, self.config.loss)
+        reference = make_reference(self.camera, luma, depth, levels, self.align_options)
+        return reweighted(reference, self.config.rendering.weights)
 
     def moved_px(self, T: NDArray[np.float64], render: Render) -> float:
         """How far the motion ``T`` moves a pixel at the median depth, roughly."""
@@ -131,7 +142,7 @@ class Tracker:
         """The paper's solver: Adam on the pose through the renderer's gradient."""
         T_cw, adam = invert_pose(T_wc), PoseAdam()
         best, best_T = np.inf, T_cw
-        for _ in range(self.config.tracking_iterations):
+        for _ in range(self.options.iterations):
             out = self.renderer.forward(gaussians, invert_pose(T_cw))
             loss, gradient, _ = photometric_loss(out.planes, image, self.weights)
             if loss < best:
@@ -139,4 +150,4 @@ class Tracker:
             T_cw = adam.step(T_cw, out.backward(gradient, planar=True).pose, (0.001, 0.003))
         T = invert_pose(best_T)
         render = self.renderer.forward(gaussians, T, count_touched=True)
-        return Tracked(T, render, best, self.config.tracking_iterations, bool(np.isfinite(best)))
+        return Tracked(T, render, best, self.options.iterations, bool(np.isfinite(best)))

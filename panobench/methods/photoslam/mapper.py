@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from panobench.cameras.base import Camera
-from panobench.geometry import invert_pose
-from panobench.methods.panogs.surface import equal_area_pixels, fill_depth, seed_gaussians
+from panobench.geometry import Sim3, invert_pose
 from panobench.methods.photoslam.config import PhotoslamConfig
 from panobench.methods.sparse.pointmap import ACTIVE, PointMap
 from panobench.methods.splatting.densify import grow, prune
+from panobench.methods.splatting.seeding import equal_area_pixels, fill_depth, seed_gaussians
 from panobench.methods.splatting.sweeping import DepthSweeper
+from panobench.methods.splatting.trainable_map import TrainableMap
 from panobench.methods.splatting.trainer import GaussianTrainer, PosedImage
 from panobench.splat.adam import LearningRates
 from panobench.splat.gaussians import F32
@@ -57,7 +58,7 @@ class MappedKeyframe:
 
 
 class PhotoslamMapper:
-    """Gaussians carry the number of the keyframe that made them (``trainer.origin``)."""
+    """Gaussians carry the number of the keyframe that made them (``map.anchors``)."""
 
     def __init__(self, camera: Camera, config: PhotoslamConfig, seed: int) -> None:
         self.camera, self.config = camera, config
@@ -69,7 +70,8 @@ class PhotoslamMapper:
                 break
             small = camera.scaled(camera.width >> level)
             self.levels.append(_Level(Renderer(small, "sphere", config.low_pass), pixel_weights(small)))
-        self.trainer = GaussianTrainer(self.levels[0].renderer, beta2=0.99, knee=config.loss_knee)
+        self.map = TrainableMap(beta2=0.99)
+        self.trainer = GaussianTrainer(self.levels[0].renderer, self.map, knee=config.loss_knee)
         self.count = max(int(np.count_nonzero(self.valid) / config.pixels_per_gaussian), 16)
         self.spacing = float(np.sqrt(camera.solid_angle().sum() / self.count))
         self.keyframes: dict[int, MappedKeyframe] = {}
@@ -92,9 +94,10 @@ class PhotoslamMapper:
             off = invert_pose(mine.T_wc) @ T_wc
             if np.linalg.norm(off[:3, 3]) < STILL * self.median_depth and np.abs(off[:3, :3] - np.eye(3)).max() < STILL:
                 continue
-            which = self.trainer.origin == k
+            which = self.map.anchors == k
             if which.any():
-                self.trainer.move(which, mine.T_wc, T_wc, scale)
+                R = T_wc[:3, :3] @ mine.T_wc[:3, :3].T
+                self.map.move(which, Sim3(scale, R, T_wc[:3, 3] - scale * R @ mine.T_wc[:3, 3]))
             mine.T_wc, mine.distance = T_wc, distance
             if self.sweeper is not None and k in self.swept:
                 self.sweeper.move(self.swept.index(k), T_wc)
@@ -119,8 +122,8 @@ class PhotoslamMapper:
         self.keyframes[number] = keyframe
         self._train(keyframe)
         if self.config.densify_every and len(self.keyframes) % self.config.densify_every == 0:
-            grow(self.trainer, self.config.pull, 0.01 * z, self.rng, self._most())
-        prune(self.trainer, self.config.prune_opacity, self.config.largest_rel * z)
+            grow(self.map, self.config.pull, 0.01 * z, self.rng, self._most())
+        prune(self.map, self.config.prune_opacity, self.config.largest_rel * z)
 
     def _most(self) -> int:
         return int(self.config.most_per_pixel * np.count_nonzero(self.valid))
@@ -131,20 +134,20 @@ class PhotoslamMapper:
         if depth is None:
             return
         pixels = equal_area_pixels(self.camera, self.count, self.rng)
-        if len(self.trainer):
-            out = self.levels[0].renderer.forward(self.trainer.map, keyframe.T_wc)
+        if len(self.map):
+            out = self.levels[0].renderer.forward(self.map.gaussians, keyframe.T_wc)
             error = cv2.blur(np.abs(out.colour - image / np.float32(255)).mean(axis=-1), (5, 5))
             wanted = self.valid & ((out.opacity < c.insert_opacity) | (error > c.insert_error))
             column = np.clip(pixels[:, 0].astype(int), 0, self.camera.width - 1)
             row = np.clip(pixels[:, 1].astype(int), 0, self.camera.height - 1)
             pixels = pixels[wanted[row, column]]
-            pixels = pixels[: max(0, self._most() - len(self.trainer))]
+            pixels = pixels[: max(0, self._most() - len(self.map))]
         if len(pixels):
             new = seed_gaussians(
                 self.camera, image, depth, pixels, keyframe.T_wc, self.spacing,
                 flatten=c.flatten, scale_factor=c.scale_factor, opacity=c.initial_opacity,
             )  # fmt: skip
-            self.trainer.add(new, keyframe.number)
+            self.map.append(new, keyframe.number)
 
     def _depth(self, points: PointMap, keyframe: MappedKeyframe) -> F32 | None:
         """Radial depth (H, W) of a keyframe; None when too little is known."""
@@ -188,7 +191,7 @@ class PhotoslamMapper:
     def _train(self, newest: MappedKeyframe) -> None:
         """The newest keyframe often, others at random; coarse images first."""
         everyone = list(self.keyframes.values())
-        for step in range(self.config.mapping_iterations if len(self.trainer) else 0):
+        for step in range(self.config.mapping_iterations if len(self.map) else 0):
             level = max(0, len(self.levels) - 1 - 2 * step * len(self.levels) // self.config.mapping_iterations)
             chosen = newest if step % NEWEST_EVERY == 0 else everyone[int(self.rng.integers(len(everyone)))]
             size = self.levels[level]
@@ -197,12 +200,12 @@ class PhotoslamMapper:
     def finish(self) -> None:
         """The last steps, on all keyframes in random order with falling rates."""
         everyone, steps = list(self.keyframes.values()), self.config.final_iterations
-        for step in range(steps if everyone and len(self.trainer) else 0):
+        for step in range(steps if everyone and len(self.map) else 0):
             chosen = everyone[int(self.rng.integers(len(everyone)))]
             rates = self._rates(0.1 ** (step / steps))
             self.trainer.step([chosen.view(0, self.levels[0].weights)], rates)
-        if len(self.trainer):
-            prune(self.trainer, self.config.prune_opacity, self.config.largest_rel * self.median_depth)
+        if len(self.map):
+            prune(self.map, self.config.prune_opacity, self.config.largest_rel * self.median_depth)
 
 
 def _median_distance(points: PointMap, number: int) -> float:

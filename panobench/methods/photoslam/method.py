@@ -58,7 +58,7 @@ class PhotoslamMethod(OnlineMethod):
         self.numbers[frame.index] = {
             "tracking_s": tracked - began,
             "mapping_s": time.perf_counter() - tracked,
-            "gaussians": float(len(self.maps[-1][1].trainer)) if self.maps else 0.0,
+            "gaussians": float(len(self.maps[-1][1].map)) if self.maps else 0.0,
         }
         return T_wc
 
@@ -88,7 +88,7 @@ class PhotoslamMethod(OnlineMethod):
             return dataclasses.replace(answer, frames=frames)
         self.chosen.follow(best.map)
         self.chosen.finish()
-        gaussians = self.chosen.trainer.map
+        gaussians = self.chosen.map.gaussians
         return dataclasses.replace(
             answer,
             frames=frames,
@@ -99,7 +99,7 @@ class PhotoslamMethod(OnlineMethod):
     def render(self, camera: Camera, T_wc: Array) -> NDArray[np.float32] | None:
         """As ``OnlineMethod.render``."""
         mapper = self.chosen or (self.maps[-1][1] if self.maps else None)
-        if mapper is None or not len(mapper.trainer):
+        if mapper is None or not len(mapper.map):
             return None
-        out = Renderer(camera, "sphere", self.config.low_pass).forward(mapper.trainer.map, T_wc)
+        out = Renderer(camera, "sphere", self.config.low_pass).forward(mapper.map.gaussians, T_wc)
         return np.ascontiguousarray(np.clip(out.colour, 0.0, 1.0))

@@ -18,10 +18,11 @@ from panobench.datasets.trajectory_io import read_tum
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import InputError, UnsupportedError
 from panobench.methods.base import BatchMethod, MethodContext
-from panobench.methods.panogs.surface import equal_area_pixels, fill_depth, seed_gaussians
 from panobench.methods.reconstruct.config import ReconstructConfig
 from panobench.methods.splatting.densify import grow, prune
+from panobench.methods.splatting.seeding import equal_area_pixels, fill_depth, seed_gaussians
 from panobench.methods.splatting.sweeping import DepthSweeper
+from panobench.methods.splatting.trainable_map import TrainableMap
 from panobench.methods.splatting.trainer import GaussianTrainer, PosedImage
 from panobench.splat.adam import LearningRates
 from panobench.splat.gaussians import F32, GaussianMap
@@ -57,17 +58,24 @@ class ReconstructMethod(BatchMethod):
         if not views:
             return Estimate(trajectory)
         c = self.config
-        self.trainer = GaussianTrainer(Renderer(camera, "sphere", c.low_pass), beta2=0.99, knee=c.loss_knee)
+        self.trainer = GaussianTrainer(
+            Renderer(camera, "sphere", c.low_pass), TrainableMap(beta2=0.99), knee=c.loss_knee
+        )
         seeds, first, z = self._seed(self.trainer, camera, views, context)
         loss = self._fit(self.trainer, camera, views, z)
-        context.log(f"{len(views)} frames, {len(seeds)} seeds, {len(self.trainer)} Gaussians, loss {loss:.4f}")
+        context.log(f"{len(views)} frames, {len(seeds)} seeds, {len(self.trainer.map)} Gaussians, loss {loss:.4f}")
         return Estimate(
             trajectory,
             keyframes=seeds,
             metric=not c.trajectory,
-            map=self.trainer.map if len(self.trainer) else None,
+            map=self.trainer.gaussians if len(self.trainer.map) else None,
             depth=first,
-            extra={"gaussians": len(self.trainer), "views": len(views), "loss": loss, "trajectory": bool(c.trajectory)},
+            extra={
+                "gaussians": len(self.trainer.map),
+                "views": len(views),
+                "loss": loss,
+                "trajectory": bool(c.trajectory),
+            },
         )
 
     # -- input -------------------------------------------------------------------------------------------------
@@ -120,8 +128,8 @@ class ReconstructMethod(BatchMethod):
         for k in tried:
             view = views[k]
             unknown = valid
-            if len(trainer):
-                unknown = valid & (trainer.renderer.forward(trainer.map, view.T_wc).opacity < 0.5)
+            if len(trainer.map):
+                unknown = valid & (trainer.renderer.forward(trainer.gaussians, view.T_wc).opacity < 0.5)
                 if np.count_nonzero(unknown) < c.new_share * np.count_nonzero(valid):
                     continue
             depth = sweeper.depth(int(k))
@@ -138,7 +146,7 @@ class ReconstructMethod(BatchMethod):
             pixels = equal_area_pixels(camera, count, self.rng)
             column = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
             row = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
-            trainer.add(self._gaussians(camera, view, depth, pixels[unknown[row, column]], spacing), len(seeds))
+            trainer.map.append(self._gaussians(camera, view, depth, pixels[unknown[row, column]], spacing), len(seeds))
             seeds.append(view.index)
         assert first is not None  # the first view always becomes one
         z = float(np.nanmedian(first.depth))
@@ -169,14 +177,14 @@ class ReconstructMethod(BatchMethod):
                 )
                 losses.append(trainer.step([views[k]], rates)[0].loss)
             if c.densify_every and (number + 1) % c.densify_every == 0 and number < c.densify_until * c.passes:
-                grow(trainer, c.pull, 0.01 * z, self.rng, most)
-                prune(trainer, c.prune_opacity, c.largest_rel * z)
-        prune(trainer, c.prune_opacity, c.largest_rel * z)
+                grow(trainer.map, c.pull, 0.01 * z, self.rng, most)
+                prune(trainer.map, c.prune_opacity, c.largest_rel * z)
+        prune(trainer.map, c.prune_opacity, c.largest_rel * z)
         return float(np.mean(losses[-len(views) :])) if losses else float("nan")
 
     def render(self, camera: Camera, T_wc: Array) -> F32 | None:
         """As ``BatchMethod.render``."""
-        if self.trainer is None or not len(self.trainer):
+        if self.trainer is None or not len(self.trainer.map):
             return None
         renderer = Renderer(camera, "sphere", self.config.low_pass)
-        return np.ascontiguousarray(np.clip(renderer.forward(self.trainer.map, T_wc).colour, 0.0, 1.0))
+        return np.ascontiguousarray(np.clip(renderer.forward(self.trainer.gaussians, T_wc).colour, 0.0, 1.0))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import matrix_from_quaternion
-from panobench.methods.splatting.trainer import GaussianTrainer
+from panobench.methods.splatting.trainable_map import TrainableMap
 from panobench.splat.gaussians import GaussianMap
 
 #: The halves of a split Gaussian are smaller by this factor.
@@ -21,29 +21,29 @@ def logit(p: float) -> float:
     return float(np.log(p / (1 - p)))
 
 
-def grow(trainer: GaussianTrainer, threshold: float, small: float, rng: np.random.Generator, most: int) -> int:
+def grow(trainable: TrainableMap, threshold: float, small: float, rng: np.random.Generator, most: int) -> int:
     """Clone and split where the mean pull exceeds ``threshold``; returns how many Gaussians were added.
 
     small: Gaussians up to this size (largest standard deviation) are cloned, larger ones split. most: the map never
     gets more Gaussians than that; the strongest pulled come first. Starts the statistics anew.
     """
-    mean_pull = trainer.pull / np.maximum(trainer.views, 1)
-    trainer.pull[:], trainer.views[:] = 0, 0
+    mean_pull = trainable.pull / np.maximum(trainable.pulls, 1)
+    trainable.pull[:], trainable.pulls[:] = 0, 0
     index = np.flatnonzero(mean_pull > threshold)
-    room = max(0, most - len(trainer))
+    room = max(0, most - len(trainable))
     if len(index) > room:
         index = np.sort(index[np.argsort(-mean_pull[index], kind="stable")[:room]])
     if len(index) == 0:
         return 0
-    large = np.exp(trainer.map.log_scales[index].max(axis=1)) > small
+    large = np.exp(trainable.gaussians.log_scales[index].max(axis=1)) > small
     clones, parents = index[~large], index[large]
-    origin = trainer.origin
-    new_origin = np.concatenate([origin[clones], origin[parents], origin[parents]])
-    new = trainer.map.select(clones).concat(_halves(trainer.map.select(parents), rng))
-    keep = np.ones(len(trainer), bool)
+    anchors = trainable.anchors
+    new_anchors = np.concatenate([anchors[clones], anchors[parents], anchors[parents]])
+    new = trainable.gaussians.select(clones).concat(_halves(trainable.gaussians.select(parents), rng))
+    keep = np.ones(len(trainable), bool)
     keep[parents] = False
-    trainer.keep(keep)
-    trainer.add(new, new_origin)
+    trainable.keep(keep)
+    trainable.append(new, new_anchors)
     return len(index)
 
 
@@ -57,25 +57,25 @@ def _halves(parents: GaussianMap, rng: np.random.Generator) -> GaussianMap:
     return twice
 
 
-def prune(trainer: GaussianTrainer, opacity: float, largest: float, also: NDArray[np.bool_] | None = None) -> int:
+def prune(trainable: TrainableMap, opacity: float, largest: float, also: NDArray[np.bool_] | None = None) -> int:
     """Drop Gaussians below ``opacity``, larger than ``largest``, not finite, or in ``also`` (N,); returns how many."""
-    g = trainer.map
+    g = trainable.gaussians
     bad = (g.opacity_logits < logit(opacity)) | (g.log_scales.max(axis=1) > np.log(largest))
     bad |= ~(np.isfinite(g.means).all(axis=1) & np.isfinite(g.log_scales).all(axis=1))
     if also is not None:
         bad |= also
     count = int(np.count_nonzero(bad))
     if count:
-        trainer.keep(~bad)
+        trainable.keep(~bad)
     return count
 
 
-def fade(trainer: GaussianTrainer, opacity: float, which: NDArray[np.bool_] | None = None) -> None:
+def fade(trainable: TrainableMap, opacity: float, which: NDArray[np.bool_] | None = None) -> None:
     """Lower opacities to ``opacity`` where they exceed it, and forget how Adam was moving them."""
     low = np.float32(logit(opacity))
-    chosen = trainer.map.opacity_logits > low
+    chosen = trainable.gaussians.opacity_logits > low
     if which is not None:
         chosen &= which
-    trainer.map.opacity_logits[chosen] = low
-    trainer.adam.m[chosen, 10] = 0
-    trainer.adam.v[chosen, 10] = 0
+    trainable.gaussians.opacity_logits[chosen] = low
+    trainable.adam.m[chosen, 10] = 0
+    trainable.adam.v[chosen, 10] = 0

@@ -1,7 +1,6 @@
-"""A Gaussian map with its optimiser, fitted to posed images by gradient steps.
+"""Fitting a Gaussian map to posed images by gradient steps, each over one view or several.
 
-One step may sum the gradients of several views. While it does, it gathers what densification asks later: how strongly
-each Gaussian is pulled across the image (``densify``).
+A step also gathers what densification asks for later: how strongly each Gaussian is pulled across the image.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import Sim3
-from panobench.splat.adam import GaussianAdam, LearningRates
+from panobench.methods.splatting.trainable_map import TrainableMap
+from panobench.splat.adam import LearningRates
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.loss import photometric_loss
 from panobench.splat.render import Gradients, Render, Renderer
@@ -59,47 +58,26 @@ class ViewGradient:
 
 @dataclass
 class GaussianTrainer:
-    """beta2: of Adam. knee: residual below which the loss is quadratic. isotropy: weight of the mean difference of
-    the axes to their mean (MonoGS's regulariser). origin (N,): number the Gaussians' maker gave them.
+    """Fits a map by joint steps over several views.
 
-    pull, views (N,): summed length of the gradient across the image, in units of 2 / width, and in how many views.
+    knee: residual below which the loss is quadratic. isotropy: weight of the mean difference of the axes to their mean
+    (MonoGS's regulariser). scale_bounds: smallest and largest standard deviation of a Gaussian.
     """
 
     renderer: Renderer
-    beta2: float = 0.999
+    map: TrainableMap = field(default_factory=TrainableMap)
     knee: float = 0.0
     isotropy: float = 0.0
     scale_bounds: tuple[float, float] = (1e-5, 1e3)
-    map: GaussianMap = field(default_factory=GaussianMap.empty)
-    origin: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
-    pull: F32 = field(default_factory=lambda: np.zeros(0, np.float32))
-    views: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
 
-    def __post_init__(self) -> None:
-        self.adam = GaussianAdam(len(self.map), 0.9, self.beta2)
-
-    def __len__(self) -> int:
-        return len(self.map)
-
-    def add(self, new: GaussianMap, origin: int | NDArray[np.int32]) -> None:
-        """Append Gaussians made by ``origin`` (one number, or one for each)."""
-        n = len(new)
-        self.map = self.map.concat(new)
-        self.adam.extend(n)
-        self.origin = np.concatenate([self.origin, np.broadcast_to(np.asarray(origin, np.int32), (n,))])
-        self.pull = np.concatenate([self.pull, np.zeros(n, np.float32)])
-        self.views = np.concatenate([self.views, np.zeros(n, np.int32)])
-
-    def keep(self, which: NDArray[np.bool_]) -> None:
-        """Drop the others."""
-        self.map, self.origin = self.map.select(which), self.origin[which]
-        self.pull, self.views = self.pull[which], self.views[which]
-        self.adam.select(which)
+    @property
+    def gaussians(self) -> GaussianMap:
+        return self.map.gaussians
 
     def evaluate(self, view: TrainingView, renderer: Renderer | None = None) -> ViewGradient:
         """Loss and gradients of one view; nothing is changed."""
         renderer = renderer or self.renderer
-        out = renderer.forward(self.map, view.T_wc)
+        out = renderer.forward(self.gaussians, view.T_wc)
         loss, d_planes, d_exposure = photometric_loss(
             out.planes, view.image, view.weights, view.gain, view.offset, self.knee
         )
@@ -119,30 +97,23 @@ class GaussianTrainer:
         if total is not None:
             if self.isotropy > 0:
                 self._add_isotropy(total)
-            self.adam.step(self.map, total, rates, 0.0, self.scale_bounds)
+            self.map.adam.step(self.gaussians, total, rates, 0.0, self.scale_bounds)
         return results
 
     def _gather(self, packed: F32, order: NDArray[np.int32], T_wc: Array, renderer: Renderer) -> None:
         """The gradient by the image position, from that by the mean: only its part across the viewing ray counts."""
-        rays = self.map.means[order] - T_wc[:3, 3].astype(np.float32)
+        rays = self.gaussians.means[order] - T_wc[:3, 3].astype(np.float32)
         squared = np.sum(rays * rays, axis=1)
         g = packed[order, :3]
         along = np.sum(g * rays, axis=1)
         across = np.sqrt(np.maximum(np.sum(g * g, axis=1) * squared - along * along, 0.0))
         unit = np.float32(renderer.view.pixel_angle * 0.5 * renderer.view.width)
         touched = across > 0
-        self.pull[order[touched]] += unit * across[touched]
-        self.views[order[touched]] += 1
+        self.map.pull[order[touched]] += unit * across[touched]
+        self.map.pulls[order[touched]] += 1
 
     def _add_isotropy(self, total: F32) -> None:
         """Gradient of isotropy x mean |s - mean(s)| by the log-scales."""
-        s = np.exp(self.map.log_scales)
+        s = np.exp(self.gaussians.log_scales)
         sign = np.sign(s - s.mean(axis=1, keepdims=True))
         total[:, 3:6] += self.isotropy / (3 * len(s)) * (sign - sign.mean(axis=1, keepdims=True)) * s
-
-    def move(self, which: NDArray[np.bool_], before: Array, after: Array, scale: float = 1.0) -> None:
-        """Let Gaussians follow their camera from pose ``before`` to ``after`` (4, 4); distances grow by ``scale``."""
-        R = after[:3, :3] @ before[:3, :3].T
-        moved = self.map.select(which).transformed(Sim3(scale, R, after[:3, 3] - scale * R @ before[:3, 3]))
-        for mine, new in zip(self.map.arrays(), moved.arrays()):
-            mine[which] = new

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from panogs_options import configured
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
@@ -17,9 +18,9 @@ from panobench.depth.simple import OracleDepth
 from panobench.geometry import umeyama
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.recent import RecentFrame
-from panobench.methods.panogs.system import PanogsMethod, _Record
-from panobench.methods.panogs.views import View
+from panobench.methods.panogs.frame_buffer import BufferedFrame
+from panobench.methods.panogs.method import PanogsMethod
+from panobench.methods.splatting.views import View
 from panobench.testing.sequences import TinySequence, rotating_pose, smooth_pose
 from panobench.types import DepthEstimate, Frame
 
@@ -47,20 +48,20 @@ def test_a_panorama_of_a_limited_field_of_view_is_not_lost_as_the_map_grows_beyo
     """The map outgrows the view; what lies outside of it says nothing about the frame."""
     camera = ErpCamera(128, 64, hfov_deg=120.0)
     sequence = TinySequence(camera, 40, pose=lambda t: smooth_pose(0.5 * t) @ rotating_pose(t))
-    method = PanogsMethod(PanogsConfig(mapping_iterations=4, final_iterations=0))
+    method = PanogsMethod(configured(mapping__iterations=4, mapping__final_iterations=0))
     method.start(camera, MethodContext(make_depth=OracleDepth))
     for i in range(len(sequence)):
         frame = Frame(i, float(sequence.times[i]), sequence.image(i), depth=sequence.depth(i))
         assert method.track(frame) is not None
     assert method.tracker.reference is not None
-    render = method.renderer.forward(method.mapper.map, method._pose(39))
+    render = method.mapper.renderer.forward(method.mapper.map.gaussians, method.trajectory[39])
     level = method.tracker.make_reference(render, 3).levels[0]
     x, z = level.points[0], level.points[2]
     assert np.abs(np.rad2deg(np.arctan2(x, z))).max() < 60
 
 
-def _turning(camera: Camera, degrees: float) -> int:
-    """How far a camera that turns by so much a frame looks back."""
+def _lag_rotating(camera: Camera, degrees: float) -> int:
+    """The lag of a camera that rotates by so much a frame."""
     method = PanogsMethod()
     method.start(camera, MethodContext())
     empty = np.zeros((0, 0), np.float32)
@@ -69,17 +70,17 @@ def _turning(camera: Camera, degrees: float) -> int:
         T = np.eye(4)
         T[0, 0], T[0, 2], T[2, 0], T[2, 2] = np.cos(a), np.sin(a), -np.sin(a), np.cos(a)
         view = View(k, np.zeros((1, 1, 3), np.uint8), T)
-        method.records[k] = _Record(k / 15, view, np.eye(4))
-        method.recent._frames.append(RecentFrame(k, view.image, empty, empty))
-    return method.look_back._delay(method._pose, 2.0)
+        method.trajectory.add_keyframe(view, k / 15)
+        method.lag.buffer._frames.append(BufferedFrame(k, view.image, empty, empty))
+    return method.lag._lag(2.0)
 
 
-def test_a_narrow_view_that_turns_looks_back_less_far() -> None:
-    pinhole, config = PinholeCamera.from_fov(96, 120, 60), PanogsConfig()
-    assert _turning(pinhole, 0.0) == config.delay
-    assert config.delay_min < _turning(pinhole, 4.0) < config.delay
-    assert _turning(pinhole, 15.0) == config.delay_min
-    assert _turning(ErpCamera(96, 48), 15.0) == config.delay
+def test_a_narrow_view_that_rotates_has_a_shorter_lag() -> None:
+    pinhole, config = PinholeCamera.from_fov(96, 120, 60), PanogsConfig().fixed_lag
+    assert _lag_rotating(pinhole, 0.0) == config.lag
+    assert config.lag_min < _lag_rotating(pinhole, 4.0) < config.lag
+    assert _lag_rotating(pinhole, 15.0) == config.lag_min
+    assert _lag_rotating(ErpCamera(96, 48), 15.0) == config.lag
 
 
 class LateDepth(DepthEstimator):
@@ -98,7 +99,7 @@ class LateDepth(DepthEstimator):
 
 
 def test_frames_that_the_map_does_not_show_keep_the_estimators_poses() -> None:
-    method = PanogsMethod(PanogsConfig(mapping_iterations=2, initial_iterations=2))
+    method = PanogsMethod(configured(mapping__iterations=2, start__iterations=2))
     method.start(ErpCamera(64, 32), MethodContext(make_depth=LateDepth))
     rng = np.random.default_rng(0)
     shown = np.kron(rng.integers(0, 255, (4, 8, 3), dtype=np.uint8), np.ones((8, 8, 1), np.uint8))
@@ -124,7 +125,7 @@ class DepthOfTheMiddle(DepthEstimator):
 
 def test_frames_before_the_first_with_depth_are_tracked_backwards() -> None:
     sequence = RoomsDataset().open("tiny", width=128)
-    method = PanogsMethod(PanogsConfig(mapping_iterations=4))
+    method = PanogsMethod(configured(mapping__iterations=4))
     method.start(sequence.camera, MethodContext(make_depth=DepthOfTheMiddle))
     for k in range(16):
         method.track(Frame(k, k / 15, sequence.image(k)))

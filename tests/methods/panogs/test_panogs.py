@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from panogs_options import configured
 
+from panobench.bench.config import override
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.datasets.rooms import RoomsDataset
@@ -12,11 +16,12 @@ from panobench.depth.bootstrap import BootstrapDepth
 from panobench.depth.simple import OracleDepth
 from panobench.geometry import umeyama
 from panobench.methods.base import MethodContext
-from panobench.methods.panogs.config import PRESETS, PanogsConfig
-from panobench.methods.panogs.keyframes import is_keyframe, overlap, update_window
-from panobench.methods.panogs.surface import equal_area_pixels, fill_depth, seed_gaussians, surface_normals
-from panobench.methods.panogs.system import PanogsMethod
-from panobench.methods.panogs.views import View
+from panobench.methods.panogs.config import PRESETS, KeyframeOptions, PanogsConfig
+from panobench.methods.panogs.keyframes import is_keyframe
+from panobench.methods.panogs.method import PanogsMethod
+from panobench.methods.splatting.covisibility import overlap, update_window
+from panobench.methods.splatting.seeding import equal_area_pixels, fill_depth, seed_gaussians, surface_normals
+from panobench.methods.splatting.views import SeenGaussians, View
 from panobench.splat.render import Renderer
 from panobench.types import Estimate, Frame
 
@@ -56,7 +61,7 @@ def test_tracks_and_maps_a_room_without_being_given_depth() -> None:
 
 @pytest.mark.slow
 def test_same_seed_gives_the_same_result_to_the_bit() -> None:
-    config = PanogsConfig(mapping_iterations=6, initial_iterations=6)
+    config = configured(mapping__iterations=6, start__iterations=6)
     a, _, _ = run(config, OracleDepth, frames=10)
     b, _, _ = run(config, OracleDepth, frames=10)
     assert np.array_equal(a.trajectory.T_wc, b.trajectory.T_wc)
@@ -66,7 +71,7 @@ def test_same_seed_gives_the_same_result_to_the_bit() -> None:
 
 @pytest.mark.slow
 def test_paper_preset_tracks() -> None:
-    config = PanogsConfig(**{**PRESETS["paper"], "mapping_iterations": 8})
+    config = override(PanogsConfig(), {**PRESETS["paper"], "mapping.iterations": 8}, "option")
     estimate, ate, _ = run(config, OracleDepth, frames=8)
     assert len(estimate.trajectory) == 8
     assert ate < 0.05
@@ -75,7 +80,9 @@ def test_paper_preset_tracks() -> None:
 def test_wide_views_have_fewer_keyframes() -> None:
     """A panorama still sees most of what it saw, so twice the way may lie between keyframes."""
     few, many = (
-        run(PanogsConfig(mapping_iterations=1, final_iterations=0, keyframe_wide=wide), OracleDepth, frames=14)[0]
+        run(
+            configured(mapping__iterations=1, mapping__final_iterations=0, keyframes__wide=wide), OracleDepth, frames=14
+        )[0]
         for wide in (2.0, 0.5)
     )
     assert 2 <= len(few.keyframes) < len(many.keyframes)
@@ -83,7 +90,7 @@ def test_wide_views_have_fewer_keyframes() -> None:
 
 @pytest.mark.parametrize("value", [0, 255])
 def test_a_sequence_without_texture_ends_without_an_exception(value: int) -> None:
-    method = PanogsMethod(PanogsConfig(mapping_iterations=2, initial_iterations=2))
+    method = PanogsMethod(configured(mapping__iterations=2, start__iterations=2))
     method.start(ErpCamera(64, 32), MethodContext(make_depth=BootstrapDepth))
     for i in range(4):
         method.track(Frame(i, i / 15, np.full((32, 64, 3), value, np.uint8)))
@@ -91,7 +98,7 @@ def test_a_sequence_without_texture_ends_without_an_exception(value: int) -> Non
 
 
 def test_one_frame_is_enough_for_an_answer() -> None:
-    method = PanogsMethod(PanogsConfig(mapping_iterations=2, initial_iterations=2))
+    method = PanogsMethod(configured(mapping__iterations=2, start__iterations=2))
     method.start(ErpCamera(64, 32), MethodContext(make_depth=BootstrapDepth))
     method.track(Frame(0, 0.0, np.random.default_rng(0).integers(0, 255, (32, 64, 3), dtype=np.uint8)))
     assert len(method.finish().trajectory) == 1
@@ -108,34 +115,45 @@ def test_nothing_at_all_is_an_empty_answer() -> None:
 def _view(index: int, x: float, seen: list[int]) -> View:
     T = np.eye(4)
     T[0, 3] = x
-    touched = np.zeros(20, np.int32)
-    touched[seen] = 1
-    return View(index, np.zeros((1, 1, 3), np.uint8), T, touched=touched)
+    return View(index, np.zeros((1, 1, 3), np.uint8), T, seen=_seen(20, seen))
+
+
+def _seen(count: int, which: list[int]) -> SeenGaussians:
+    """Of Gaussians 0 to count - 1, these."""
+    return SeenGaussians(np.isin(np.arange(count), which))
 
 
 def test_overlap_counts_what_both_see() -> None:
-    a, b = np.array([1, 1, 1, 0], bool), np.array([0, 1, 1, 1, 1], bool)
-    assert overlap(a, b) == pytest.approx(2 / 4)
-    assert overlap(a, b, "smaller") == pytest.approx(2 / 3)
-    assert overlap(a, np.zeros(4, bool)) == 0
+    a, b, ids = _seen(4, [0, 1, 2]), _seen(5, [1, 2, 3, 4]), np.arange(9, dtype=np.int32)
+    assert overlap(a, b, ids) == pytest.approx(2 / 4)
+    assert overlap(a, b, ids, "smaller") == pytest.approx(2 / 3)
+    assert overlap(a, _seen(4, []), ids) == 0
+    assert overlap(a, b, ids[[0, 1, 3, 5]]) == pytest.approx(1 / 3)  # Gaussian 2 is gone
+
+
+def test_what_replaces_a_gaussian_is_seen_where_it_was() -> None:
+    seen = _seen(4, [1, 3])
+    seen.inherit(np.array([1, 2], np.int32), np.array([6, 7], np.int32), 8)
+    assert np.flatnonzero(seen.seen).tolist() == [1, 3, 6]
 
 
 def test_keyframe_rule() -> None:
-    c, same, other = PanogsConfig(), np.ones(10, bool), np.array([1] * 5 + [0] * 5, bool)
-    assert not is_keyframe(c, same, same, 0.02, 50, True)
-    assert is_keyframe(c, same, same, 0.09, 1, True)
-    assert is_keyframe(c, other, same, 0.06, 1, True)
-    assert not is_keyframe(c, other, same, 0.04, 1, True)
-    assert is_keyframe(c, other, same, 0.0, 5, False)
+    c = KeyframeOptions()
+    assert not is_keyframe(c, 1.0, 0.02, 50, True)
+    assert is_keyframe(c, 1.0, 0.09, 1, True)
+    assert is_keyframe(c, 0.5, 0.06, 1, True)
+    assert not is_keyframe(c, 0.5, 0.04, 1, True)
+    assert is_keyframe(c, 0.5, 0.0, 5, False)
+    assert is_keyframe(c, 1.0, 0.0, 4, True, new_share=0.05)
 
 
 def test_window_protects_the_newest_two_and_drops_the_crowded() -> None:
-    everything = list(range(20))
+    everything, ids = list(range(20)), np.arange(20, dtype=np.int32)
     window = [_view(k, x, everything) for k, x in ((4, 1.0), (3, 0.52), (2, 0.5), (1, 0.0))]
-    kept = update_window(window, _view(5, 1.1, everything), 4)
+    kept = update_window(window, _view(5, 1.1, everything), 4, ids)
     assert [v.index for v in kept] == [5, 4, 3, 1] or [v.index for v in kept] == [5, 4, 2, 1]
     foreign = [*window[:3], _view(0, 0.1, [])]
-    assert 0 not in [v.index for v in update_window(foreign, _view(5, 1.1, everything), 8)]
+    assert 0 not in [v.index for v in update_window(foreign, _view(5, 1.1, everything), 8, ids)]
 
 
 def test_fill_depth_crosses_the_seam() -> None:
@@ -176,12 +194,15 @@ def test_seeded_discs_lie_in_the_wall_and_reproduce_the_image() -> None:
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [("final_iterations", -1), ("mapping_iterations", -3), ("colour_rate", float("nan")), ("pixels_per_gaussian", 0),
-     ("adam_beta2", 1.0), ("window", 0), ("tracking_pixels", 0), ("keyframe_overlap", float("inf")),
-     ("keyframe_wide", 0.0)],
+    [("mapping.final_iterations", -1), ("mapping.iterations", -3), ("rates.colour", float("nan")),
+     ("seeding.pixels_per_gaussian", 0), ("rates.beta2", 1.0), ("keyframes.window", 0), ("tracking.pixels", 0),
+     ("keyframes.overlap", float("inf")), ("keyframes.wide", 0.0)],
 )  # fmt: skip
 def test_options_that_make_no_sense_are_refused(option: str, value: float) -> None:
-    with pytest.raises(ValueError, match=option):
-        PanogsConfig(**{option: value})
-    for preset in PRESETS.values():
-        PanogsConfig(**preset)
+    with pytest.raises(ValueError, match=option.partition(".")[2]):
+        override(PanogsConfig(), {option: value}, "option")
+
+
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+def test_presets_name_options_that_exist(preset: dict[str, Any]) -> None:
+    override(PanogsConfig(), preset, "option")

@@ -2,16 +2,18 @@
 
 import numpy as np
 import pytest
+from panogs_options import configured
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, make_pose, matrix_from_quaternion
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.detail import EVEN, LEVELS, SeedPattern
 from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.seed_pattern import EVEN, LEVELS, SeedPattern
 from panobench.methods.panogs.split import SplitRule, halves, too_coarse
-from panobench.methods.panogs.views import View
+from panobench.methods.panogs.trajectory import AnchoredTrajectory
+from panobench.methods.splatting.views import View
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.render import Renderer
 
@@ -87,9 +89,10 @@ def test_halves_have_the_moments_of_the_whole_and_lie_in_its_plane() -> None:
 
 
 def test_only_what_is_large_and_wrong_is_split() -> None:
+    renderer = Renderer(CAMERA, "sphere")
     g = disc().concat(disc(0.02))
     g.means[1] = [2.0, 0.0, 0.0]
-    render = Renderer(CAMERA, "sphere").forward(g, np.eye(4))
+    render = renderer.forward(g, np.eye(4))
     right = np.full((64, 128), 0.01, np.float32)
     wrong = np.full((64, 128), 0.3, np.float32)
     rule = SplitRule(error=0.06, size_px=1.0, share=1.0)
@@ -100,21 +103,25 @@ def test_only_what_is_large_and_wrong_is_split() -> None:
 
 def test_a_mapper_that_splits_keeps_its_books() -> None:
     config = PanogsConfig()
-    renderer = Renderer(CAMERA, "sphere", config.low_pass)
-    mapper = Mapper(CAMERA, renderer, config, seed=0)
+    renderer = Renderer(CAMERA, "sphere", config.rendering.low_pass)
+    mapper = Mapper(CAMERA, renderer, config, AnchoredTrajectory(), seed=0)
     view = View(0, half_striped(), np.eye(4))
-    mapper.initialise(view, np.full((64, 128), 2.0, np.float32))
-    out = renderer.forward(mapper.map, np.eye(4), count_touched=True)
-    view.touched = out.touched
-    mapper.add_keyframe(view, [view])
-    n, seen = len(mapper.map), int(np.count_nonzero(view.touched))
+    mapper.initialise(view, 0.0, np.full((64, 128), 2.0, np.float32))
+    assert view.seen is not None
+
+    def count() -> int:
+        assert view.seen is not None
+        return int(np.count_nonzero(view.seen.seen[mapper.map.ids]))
+
+    n, seen = len(mapper.map), count()
     near = View(1, view.image, make_pose(np.eye(3), [0.7, 0.0, 0.0]))
-    render = renderer.forward(mapper.map, near.T_wc)
+    render = renderer.forward(mapper.map.gaussians, near.T_wc)
     split = mapper.split(near, render)
     assert split > 0
-    assert len(mapper.map) == n + split == len(mapper.adam.steps) == len(mapper.born) == len(view.touched)
-    assert np.count_nonzero(view.touched) >= seen
-    assert mapper.optimise(2) > 0
+    m = mapper.map
+    assert len(m) == n + split == len(m.adam.steps) == len(m.anchors) == len(m.ids)
+    assert count() >= seen
+    assert mapper.optimiser.optimise(2) > 0
 
 
 def test_the_last_steps_better_the_map_and_leave_the_poses() -> None:
@@ -123,19 +130,21 @@ def test_the_last_steps_better_the_map_and_leave_the_poses() -> None:
     assert depth is not None
     assert groundtruth is not None
     T_wc = invert_pose(groundtruth.T_wc[0]) @ groundtruth.T_wc
-    mapper = Mapper(sequence.camera, Renderer(sequence.camera), PanogsConfig(), 0)
+    mapper = Mapper(
+        sequence.camera, Renderer(sequence.camera), configured(start__iterations=0), AnchoredTrajectory(), 0
+    )
     views = [View(i, sequence.image(i), T_wc[i].copy()) for i in range(12)]
-    mapper.initialise(views[0], depth)
-    for view in views:
-        mapper.add_keyframe(view, [view, *mapper.window])
-    mapper.optimise(60, poses=False)
+    mapper.initialise(views[0], 0.0, depth)
+    for view in views[1:]:
+        mapper.add_keyframe(view, [view, *mapper.window], 0.0)
+    mapper.optimiser.optimise(60, poses=False)
 
     def error() -> float:
-        renders = [mapper.renderer.forward(mapper.map, v.T_wc).colour for v in views]
+        renders = [mapper.renderer.forward(mapper.map.gaussians, v.T_wc).colour for v in views]
         return float(np.mean([np.square(r - v.image / np.float32(255)).mean() for r, v in zip(renders, views)]))
 
     before = error()
-    mapper.polish(60)
+    mapper.optimiser.polish(60)
     assert error() < 0.9 * before
     assert all(np.array_equal(v.T_wc, T_wc[v.index]) for v in views)
-    mapper.polish(0)
+    mapper.optimiser.polish(0)

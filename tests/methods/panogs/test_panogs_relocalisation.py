@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from panogs_options import configured
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
@@ -14,11 +15,11 @@ from panobench.depth.simple import OracleDepth
 from panobench.geometry import make_pose, so3_exp
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.agreement import agreement
-from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.mapper import Mapper
-from panobench.methods.panogs.places import Places, turned
-from panobench.methods.panogs.system import PanogsMethod
-from panobench.methods.panogs.views import View
+from panobench.methods.panogs.method import PanogsMethod
+from panobench.methods.panogs.place_recognition import Places, yawed
+from panobench.methods.panogs.trajectory import AnchoredTrajectory
+from panobench.methods.splatting.views import View
 from panobench.photometric.pyramid import F32, luma_of_frame, pyramid
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import pixel_weights
@@ -35,12 +36,12 @@ def luma(sequence: TinySequence, T_wc: np.ndarray, camera: Camera) -> F32:
 
 @pytest.mark.parametrize("yaw", [0.3, -2.0, 3.1])
 @pytest.mark.parametrize("latitudes", [(-90, 90), (-50, 40)])
-def test_a_place_is_recognised_however_the_camera_has_turned(yaw: float, latitudes: tuple[int, int]) -> None:
+def test_a_place_is_recognised_however_the_camera_has_yawed(yaw: float, latitudes: tuple[int, int]) -> None:
     camera = ErpCamera(WIDTH, WIDTH // 2, lat_min_deg=latitudes[0], lat_max_deg=latitudes[1])
     sequence, places = TinySequence(camera, 30), Places(camera)
     for i in range(0, 30, 5):
         places.add(places.thumbnail(luma(sequence, sequence.pose_at(0.1 * i), camera)))
-    asked = places.thumbnail(luma(sequence, turned(sequence.pose_at(1.0), yaw), camera))
+    asked = places.thumbnail(luma(sequence, yawed(sequence.pose_at(1.0), yaw), camera))
     best, second = places.find(asked, 2)
     assert best.number == 2
     assert best.score > 0.95
@@ -74,14 +75,14 @@ def mapped() -> tuple[TinySequence, Renderer, GaussianMap]:
     """A map seeded from the first frame and its true depth, fitted to a few."""
     camera = erp_camera(WIDTH)
     sequence, renderer = TinySequence(camera, 30), Renderer(camera)
-    mapper = Mapper(camera, renderer, PanogsConfig(), seed=0)
+    mapper = Mapper(camera, renderer, configured(start__iterations=0), AnchoredTrajectory(), seed=0)
     depth = sequence.depth(0)
     assert depth is not None
     views = [View(i, sequence.image(i), sequence.pose_at(0.1 * i)) for i in (0, 4, 8)]
-    mapper.initialise(views[0], depth)
-    mapper.keyframes, mapper.window = views[:1], views
-    mapper.optimise(80, poses=False)
-    return sequence, renderer, mapper.map
+    mapper.initialise(views[0], 0.0, depth)
+    mapper.optimiser.window = views
+    mapper.optimiser.optimise(80, poses=False)
+    return sequence, renderer, mapper.map.gaussians
 
 
 def explained(image: np.ndarray) -> float:
@@ -114,7 +115,7 @@ def test_a_view_of_what_is_not_mapped_agrees_with_nothing() -> None:
 
 
 def shown(images: list[np.ndarray], depth: np.ndarray, camera: Camera) -> PanogsMethod:
-    method = PanogsMethod(PanogsConfig(mapping_iterations=3, initial_iterations=10))
+    method = PanogsMethod(configured(mapping__iterations=3, start__iterations=10))
     method.start(camera, MethodContext(make_depth=OracleDepth))
     for i, image in enumerate(images):
         method.track(Frame(i, i / 10, image, depth=depth if i == 0 else None))
@@ -140,4 +141,4 @@ def test_lost_frames_get_no_pose_and_the_camera_is_found_again() -> None:
     for T, truth in zip(estimate.trajectory.T_wc[-3:], back):
         assert np.linalg.norm((first @ T)[:3, 3] - truth[:3, 3]) < 0.03
         assert np.linalg.norm((first @ T)[:3, :3] - truth[:3, :3]) < 0.02
-    assert not any(12 <= view.index < 16 for view in [*method.mapper.keyframes, *method.mapper.frames])
+    assert not any(12 <= view.index < 16 for view in [*method.trajectory.keyframes, *method.trajectory.frames])

@@ -1,4 +1,4 @@
-"""Coming back to a place: what ties the visits together, and what does not."""
+"""Loop factors from revisits: what ties the visits together, and what does not."""
 
 from __future__ import annotations
 
@@ -7,40 +7,44 @@ import pytest
 
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
-from panobench.methods.panogs import backend, laps
-from panobench.methods.panogs.backend import Backend
-from panobench.methods.panogs.laps import Laps
+from panobench.methods.panogs.config import FactorOptions, RevisitOptions
+from panobench.methods.panogs.factors import FactorGraph
+from panobench.methods.panogs.revisits import RevisitFactors, _Reference
+from panobench.methods.panogs.trajectory import AnchoredTrajectory
+from panobench.methods.splatting.views import View
 from panobench.photometric.bundle import Bundle
+from panobench.photometric.overlap import ViewWidth
+from panobench.photometric.pose_factors import BundleFactor, marginalise
 from panobench.photometric.pyramid import luma_of_frame
 from panobench.photometric.stereo import WorkingScale
-from panobench.photometric.windows import Window, reduced
 
 #: Frames of the sequence there and back; the way back is the second visit.
 THERE = 18
 ORDER = [*range(THERE), *range(THERE - 1, -1, -1)]
 
 
-def back_and_forth(drift: float, monkeypatch: pytest.MonkeyPatch, old: int = 16) -> tuple[np.ndarray, np.ndarray, Laps]:
+def back_and_forth(drift: float, old: int = 16) -> tuple[np.ndarray, AnchoredTrajectory, RevisitFactors]:
     """True poses, those a tracker with a drift of so much a frame would have found, and what was seen on the way."""
-    monkeypatch.setattr(backend, "REACH", 4)
-    monkeypatch.setattr(backend, "AGAIN", 8)
-    monkeypatch.setattr(backend, "EVERY", 2)
-    monkeypatch.setattr(laps, "OLD", old)
     sequence = RoomsDataset().open("tiny", width=128)
     assert sequence.groundtruth is not None
     scale = WorkingScale.of(sequence.camera, 128)
     first = invert_pose(sequence.groundtruth.T_wc[0])
     truth = np.stack([first @ sequence.groundtruth.T_wc[i] for i in ORDER])
     found = np.stack([se3_exp(np.array([1, 0.5, 0, 0, 0.3, 0]) * drift * k) @ T for k, T in enumerate(truth)])
-    seen = Laps(scale)
-    b = Backend(scale, seen)
+    trajectory = AnchoredTrajectory()
+    first_view = View(0, np.zeros((1, 1, 3), np.uint8), found[0])
+    trajectory.add_keyframe(first_view, 0.0)
+    for k in range(1, len(ORDER)):
+        trajectory.add(k, k / 15, found[k], first_view)
+    seen = RevisitFactors(scale, RevisitOptions(old=old))
+    graph = FactorGraph(scale, ViewWidth.WIDE, FactorOptions(reach=4, renew_after=8, every=2), seen)
     for k, i in enumerate(ORDER):
-        b.add(k, luma_of_frame(sequence.image(i), scale.valid))
-        while (due := b.due(at_the_end=k == len(ORDER) - 1)) is not None:
+        graph.add(k, luma_of_frame(sequence.image(i), scale.valid))
+        while (due := graph.due(at_end=k == len(ORDER) - 1)) is not None:
             depth = sequence.depth(ORDER[due])
             assert depth is not None
-            b.adjust(due, lambda n: found[n], depth)
-    return truth, found, seen
+            graph.make_factor(due, trajectory, depth)
+    return truth, trajectory, seen
 
 
 def error(T: np.ndarray, truth: np.ndarray) -> float:
@@ -48,47 +52,47 @@ def error(T: np.ndarray, truth: np.ndarray) -> float:
     return float(np.sqrt(((s.apply_points(T[:, :3, 3]) - truth[:, :3, 3]) ** 2).sum(axis=1).mean()))
 
 
-def test_coming_back_takes_out_the_drift(monkeypatch: pytest.MonkeyPatch) -> None:
-    truth, found, seen = back_and_forth(0.003, monkeypatch)
-    assert seen.returns >= 3
-    closed = seen.close(lambda n: found[n], 2.0)
+def test_coming_back_takes_out_the_drift() -> None:
+    truth, trajectory, seen = back_and_forth(0.003)
+    assert seen.revisits >= 3
+    closed = seen.optimise(trajectory, 2.0)
     numbers = sorted(closed)
     assert numbers == list(range(0, len(ORDER), 2))
     after = np.stack([closed[n] for n in numbers])
-    assert error(after, truth[numbers]) < 0.2 * error(found[numbers], truth[numbers])
-    np.testing.assert_allclose(closed[0], found[0], atol=1e-12)
+    assert error(after, truth[numbers]) < 0.2 * error(np.stack([trajectory[n] for n in numbers]), truth[numbers])
+    np.testing.assert_allclose(closed[0], trajectory[0], atol=1e-12)
 
 
-def test_without_a_return_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, found, seen = back_and_forth(0.003, monkeypatch, old=1000)
-    assert seen.returns == 0
-    assert seen.close(lambda n: found[n], 2.0) == {}
+def test_without_a_revisit_nothing_moves() -> None:
+    _, trajectory, seen = back_and_forth(0.003, old=1000)
+    assert seen.revisits == 0
+    assert seen.optimise(trajectory, 2.0) == {}
 
 
 def test_another_place_that_is_taken_for_this_one_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The poses say the camera is back, the images show something else."""
     rng = np.random.default_rng(0)
-    whole = Laps._pyramid
+    whole = RevisitFactors._pyramid
 
-    def other(self: Laps, place: laps._Place) -> list:
-        if self.places[-1].number - place.number >= 16:
+    def other(self: RevisitFactors, place: _Reference) -> list:
+        if self.references[-1].number - place.number >= 16:
             noise = np.kron(rng.integers(0, 255, place.luma.shape, np.uint8)[::8, ::8], np.ones((8, 8), np.uint8))
-            place = laps._Place(place.number, noise[: place.luma.shape[0], : place.luma.shape[1]])
+            place = _Reference(place.number, place.index, noise[: place.luma.shape[0], : place.luma.shape[1]])
         return whole(self, place)
 
-    monkeypatch.setattr(Laps, "_pyramid", other)
-    _, _, seen = back_and_forth(0.0, monkeypatch)
-    assert seen.returns == 0
+    monkeypatch.setattr(RevisitFactors, "_pyramid", other)
+    _, _, seen = back_and_forth(0.0)
+    assert seen.revisits == 0
 
 
-def test_a_reduced_window_costs_what_the_whole_costs_at_best() -> None:
+def test_a_marginalised_factor_costs_what_the_whole_costs_at_best() -> None:
     rng = np.random.default_rng(1)
     F = 3
     root = rng.normal(size=(6 * F, 6 * F))
     H, g = root @ root.T, rng.normal(size=6 * F)
-    window = Window(0, np.array([2, 4, 5]), Bundle(np.tile(np.eye(4), (F, 1, 1)), 1.0, H, g))
+    factor = BundleFactor(0, np.array([2, 4, 5]), Bundle(np.tile(np.eye(4), (F, 1, 1)), 1.0, H, g))
     keep = np.array([True, False, True])
-    small = reduced(window, keep)
+    small = marginalise(factor, keep)
     assert small is not None
     assert small.frames.tolist() == [2, 5]
     kept = np.repeat(keep, 6)
@@ -98,7 +102,7 @@ def test_a_reduced_window_costs_what_the_whole_costs_at_best() -> None:
     full[kept], full[~kept] = x, best
     gradient = (H @ full + g)[kept]  # by the kept, where the others are at their best
     np.testing.assert_allclose(small.bundle.information @ x + small.bundle.gradient, gradient, rtol=1e-6, atol=1e-8)
-    assert reduced(window, np.zeros(F, bool)) is None
-    whole = reduced(window, np.ones(F, bool))
+    assert marginalise(factor, np.zeros(F, bool)) is None
+    whole = marginalise(factor, np.ones(F, bool))
     assert whole is not None
     np.testing.assert_allclose(whole.bundle.information, H)

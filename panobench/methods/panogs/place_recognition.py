@@ -1,8 +1,8 @@
-"""Recognising a place by thumbnails: how alike two views are, and by how much the camera has turned in between.
+"""Place recognition by thumbnails: how alike two views are, and the yaw between them.
 
-On a panorama that sees all the way round a turn about the vertical is a shift of columns. The correlation over all
-shifts comes from the rows' spectra (the convolution theorem), weighted by cos(latitude). Each row's mean is left out:
-bright ceilings over dark floors are in every room. Other views are compared as they are, without a turn.
+On a panorama that sees all the way round, a yaw is a shift of columns. The correlation over all shifts comes from the
+rows' spectra (the convolution theorem), weighted by cos(latitude). Each row's mean is left out, because bright ceilings
+over dark floors are in every room. Other views are compared as they are, without a yaw.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ WIDTH = 64
 _BATCH = 256
 
 
-#: Spectra of the rows (h, WIDTH / 2 + 1), or the picture itself (h, WIDTH) where turns are not looked for.
+#: Spectra of the rows (h, WIDTH / 2 + 1), or the picture itself (h, WIDTH) where yaws are not looked for.
 Thumbnail = NDArray[np.complex64] | NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Match:
-    """Place ``number``, its likeness (-1..1) and the turn (radians, to the right) from its view to the asked one."""
+    """Place ``number``, its likeness (-1..1) and the yaw (radians, to the right) from its view to the asked one."""
 
     number: int
     score: float
@@ -42,15 +42,15 @@ class Places:
         valid = camera.valid_mask()
         self._size = (WIDTH, max(round(WIDTH * camera.height / camera.width), 4))
         seen = cv2.resize(valid.astype(np.float32), self._size, interpolation=cv2.INTER_AREA) > 0.99
-        self.turns = camera.kind == "erp" and bool((valid.all(axis=1) | ~valid.any(axis=1)).all())
+        self.circular = camera.kind == "erp" and bool((valid.all(axis=1) | ~valid.any(axis=1)).all())
         weights = cv2.resize(camera.solid_angle().astype(np.float32), self._size, interpolation=cv2.INTER_AREA)
         self._weights = np.where(seen, np.nan_to_num(weights), 0.0)
-        self._spectra = np.zeros((0, *self._shape), np.complex64 if self.turns else np.float32)
+        self._spectra = np.zeros((0, *self._shape), np.complex64 if self.circular else np.float32)
         self.count = 0
 
     @property
     def _shape(self) -> tuple[int, int]:
-        return (self._size[1], WIDTH // 2 + 1 if self.turns else WIDTH)
+        return (self._size[1], WIDTH // 2 + 1 if self.circular else WIDTH)
 
     @property
     def nbytes(self) -> int:
@@ -60,7 +60,7 @@ class Places:
         """What is kept of a view: from luma (h, w) of any size, NaN where unknown."""
         small = cv2.resize(np.nan_to_num(luma), self._size, interpolation=cv2.INTER_AREA)
         w = self._weights
-        if self.turns:
+        if self.circular:
             spectrum = np.fft.rfft(small * np.sqrt(w), axis=1)
             spectrum[:, 0] = 0.0
             return (spectrum / max(_norm(spectrum), 1e-12)).astype(np.complex64)
@@ -86,13 +86,13 @@ class Places:
         return sorted(matches, key=lambda m: -m.score)[:count]
 
     def compare(self, one: Thumbnail, other: Thumbnail, peaks: int = 1) -> list[tuple[float, float]]:
-        """Likeness and turn from ``one`` to ``other`` at the best ``peaks`` maxima, best first."""
-        if not self.turns:
+        """Likeness and yaw from ``one`` to ``other`` at the best ``peaks`` maxima, best first."""
+        if not self.circular:
             return self._compare(one[None], other)
         return _peaks(self._curves(one[None], other)[0], peaks)
 
     def _compare(self, kept: Thumbnail, asked: Thumbnail) -> list[tuple[float, float]]:
-        if not self.turns:
+        if not self.circular:
             return [(float(s), 0.0) for s in np.tensordot(kept, asked, 2)]
         return [_peaks(curve, 1)[0] for curve in self._curves(kept, asked)]
 
@@ -119,14 +119,14 @@ def _peaks(curve: NDArray[np.float64], count: int) -> list[tuple[float, float]]:
     for k in tops:
         bend = before[k] - 2 * curve[k] + after[k]
         shift = 0.5 * (before[k] - after[k]) / bend if bend < 0 else 0.0
-        turn = 2 * np.pi * (k + shift) / len(curve)
+        yaw = 2 * np.pi * (k + shift) / len(curve)
         height = curve[k] - 0.25 * (before[k] - after[k]) * shift
-        out.append((float(height), float((turn + np.pi) % (2 * np.pi) - np.pi)))
+        out.append((float(height), float((yaw + np.pi) % (2 * np.pi) - np.pi)))
     return out
 
 
-def turned(T_wc: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
-    """The pose T_wc (4, 4) after a turn of the camera to the right about its own y axis."""
+def yawed(T_wc: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
+    """The pose T_wc (4, 4) after a yaw of the camera to the right, about its own y axis, in radians."""
     c, s = np.cos(yaw), np.sin(yaw)
     Ry = np.eye(4)
     Ry[:3, :3] = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]

@@ -1,7 +1,7 @@
-"""Depth of newly seen regions from the frames that followed: a plane sweep over the last tracked frames.
+"""Depth of new regions by plane sweep over the frames that followed.
 
-What a frame is the first to see, no earlier frame shows: sweeping over those before it, or on both sides, is off by
-tens of percent there. So the frame that receives depth lies some frames back, and only later ones are swept.
+No earlier frame shows what a frame is the first to see: sweeping over earlier frames, or over both sides, is off by
+tens of percent there. So the frame that receives depth lies some frames back, and only later frames are swept.
 """
 
 from __future__ import annotations
@@ -13,73 +13,71 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.methods.panogs.recent import RecentFrame
+from panobench.methods.panogs.config import FixedLagOptions
+from panobench.methods.panogs.frame_buffer import BufferedFrame
+from panobench.photometric.pose_factors import log_scale
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
 from panobench.photometric.sweep import reprojection_error
-from panobench.photometric.windows import log_scale
 
-#: Sweeping needs at least this translation over the median depth.
-PARALLAX_MIN = 0.03
-#: Range of the sweep over the median depth.
-NEAR, FAR = 0.1, 15.0
-#: Swept depth is another than the map's if it differs by this, in log depth.
+#: Swept depth differs from the map's if their logarithms are this far apart.
 OTHER_DEPTH = 0.1
-#: It disproves the map's if its error is below this share of the map's, less a margin (of 1).
+#: It disproves the map's depth if its error is below this share of the map's, less a margin (of 1).
 BETTER_SHARE, BETTER_MARGIN = 0.6, 0.004
 #: Pixels over which errors are averaged before they are compared.
 _ERROR_WINDOW = (5, 5)
 
 
 @dataclass
-class Swept:
+class SweptDepth:
     """Depth and confidence (0..1) of a frame, (h, w) at the working size, and what it was swept from."""
 
     depth: F32
     confidence: F32
-    target: RecentFrame
+    target: BufferedFrame
     images: F32
     T_fr: NDArray[np.float64]
 
-    def again(self, T_fr: NDArray[np.float64]) -> Swept:
-        """With other poses (F, 4, 4): distances grow as those between the frames do."""
+    def rescaled(self, T_fr: NDArray[np.float64]) -> SweptDepth:
+        """With corrected poses (F, 4, 4): depths grow as the distances between the frames do."""
         grown = float(np.exp(-log_scale(T_fr, self.T_fr)))
         return replace(self, depth=np.asarray(self.depth * grown, np.float32), T_fr=T_fr)
 
 
-class NewDepth:
+class DepthSweep:
     """Sweeps, and judges the map's depth by the same frames."""
 
-    def __init__(self, camera: Camera, scale: WorkingScale) -> None:
-        self.camera, self.scale = camera, scale
+    def __init__(self, camera: Camera, scale: WorkingScale, options: FixedLagOptions) -> None:
+        self.camera, self.scale, self.options = camera, scale, options
 
     def sweep(
-        self, target: RecentFrame, others: list[RecentFrame], T_fr: NDArray[np.float64], depth: float
-    ) -> Swept | None:
+        self, target: BufferedFrame, others: list[BufferedFrame], T_fr: NDArray[np.float64], scene_depth: float
+    ) -> SweptDepth | None:
         """Radial depth of ``target`` in the unit of the poses, or None without enough parallax.
 
-        T_fr (F, 4, 4): the others' poses from the target; depth: the scene's median.
+        T_fr (F, 4, 4): the others' poses from the target. scene_depth: the scene's median depth.
         """
-        if np.linalg.norm(T_fr[:, :3, 3], axis=1).max() < PARALLAX_MIN * depth:
+        o = self.options
+        if np.linalg.norm(T_fr[:, :3, 3], axis=1).max() < o.parallax_min * scene_depth:
             return None
         images = np.stack([f.luma for f in others])
         found, confidence = multi_view_depth(
-            target.luma, self.scale, images, T_fr, NEAR * depth, FAR * depth, SweepOptions()
+            target.luma, self.scale, images, T_fr, o.near * scene_depth, o.far * scene_depth, SweepOptions()
         )
-        return Swept(found, confidence, target, images, T_fr)
+        return SweptDepth(found, confidence, target, images, T_fr)
 
-    def full_size(self, swept: Swept, confidence_min: float) -> F32:
-        """Its depth (H, W) at the camera's size, NaN where it is unsure: better left for a later frame."""
-        sure = np.where(swept.confidence >= confidence_min, swept.depth, np.float32(np.nan))
+    def full_size(self, swept: SweptDepth) -> F32:
+        """Its depth (H, W) at the camera's size, NaN where it is unsure and better left to a later frame."""
+        sure = np.where(swept.confidence >= self.options.confidence, swept.depth, np.float32(np.nan))
         return resize_panorama(sure, (self.camera.height, self.camera.width), self.camera.kind == "erp")
 
-    def map_over_swept(self, swept: Swept, mapped: F32) -> float:
+    def map_over_swept(self, swept: SweptDepth, mapped: F32) -> float:
         """Median ratio of the map's depth (H, W) to the swept one; 1 where they share too little."""
         small = cv2.resize(mapped, self.scale.valid.shape[::-1], interpolation=cv2.INTER_NEAREST)
         ratio = (small / swept.depth)[np.isfinite(small) & self.scale.valid]
         return float(np.median(ratio)) if ratio.size > 0.05 * small.size else 1.0
 
-    def disproved(self, swept: Swept, mapped: F32) -> NDArray[np.bool_]:
+    def disproved(self, swept: SweptDepth, mapped: F32) -> NDArray[np.bool_]:
         """(H, W): where another depth than ``mapped`` (H, W) explains the frames much better.
 
         Gaussians that spread over an opening can have the right colour at the wrong depth.
@@ -94,7 +92,7 @@ class NewDepth:
         full = cv2.resize((other & better).view(np.uint8), (self.camera.width, self.camera.height), interpolation=0)
         return np.asarray(full > 0)
 
-    def _error(self, swept: Swept, depth: F32) -> F32:
+    def _error(self, swept: SweptDepth, depth: F32) -> F32:
         """Mean reprojection error around each pixel if its depth were ``depth`` (h, w), of those where it is known."""
         s, out = self.scale, np.empty(depth.shape, np.float32)
         T = swept.T_fr.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Trajectories from overlapping windows: exact ones are kept, disturbed ones mended, scales do not matter."""
+"""Trajectories from overlapping bundle-adjustment factors: exact ones stay, disturbed ones are mended."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, se3_log, umeyama
 from panobench.photometric.bundle import Bundle, BundleOptions, refine
+from panobench.photometric.pose_factors import BundleFactor, PosePrior, log_scale, optimise_trajectory
 from panobench.photometric.pyramid import luma_of_frame
 from panobench.photometric.stereo import WorkingScale
-from panobench.photometric.windows import PosePrior, Window, fit_trajectory, log_scale
 
 Array = NDArray[np.float64]
 LOOSE = PosePrior(1.0, 1.0)
@@ -27,7 +27,7 @@ def path(count: int, seed: int = 0) -> Array:
     return T
 
 
-def window(T_wc: Array, reference: int, reach: int, scale: float = 1.0, seed: int = 0) -> Window:
+def factor(T_wc: Array, reference: int, reach: int, scale: float = 1.0, seed: int = 0) -> BundleFactor:
     """What bundle adjustment of exact images would leave, at a scale of its own."""
     frames = np.array(
         [i for i in range(max(reference - reach, 0), min(reference + reach + 1, len(T_wc))) if i != reference]
@@ -40,7 +40,7 @@ def window(T_wc: Array, reference: int, reach: int, scale: float = 1.0, seed: in
     # Depths have been eliminated: a common scale of the translations costs nothing.
     free = np.concatenate([T_fr[:, :3, 3], np.zeros((len(frames), 3))], axis=1).ravel()
     P = np.eye(len(free)) - np.outer(free, free) / (free @ free)
-    return Window(reference, frames, Bundle(T_fr, 0.0, P @ A @ P, np.zeros(len(free))))
+    return BundleFactor(reference, frames, Bundle(T_fr, 0.0, P @ A @ P, np.zeros(len(free))))
 
 
 def misfit(T: Array, truth: Array) -> float:
@@ -58,16 +58,16 @@ def disturbed(truth: Array, size: float, seed: int = 1) -> Array:
 def test_exact_poses_stay() -> None:
     truth = path(20)
     held = np.arange(20) == 0
-    fitted = fit_trajectory(truth, [window(truth, k, 6) for k in range(0, 20, 3)], LOOSE, held)
+    fitted = optimise_trajectory(truth, [factor(truth, k, 6) for k in range(0, 20, 3)], LOOSE, held)
     assert np.abs(se3_log(invert_pose(truth) @ fitted)).max() < 1e-7
 
 
-@pytest.mark.parametrize("scales", [(1.0, 1.0), (0.98, 1.03)], ids=["one scale", "a scale for each window"])
+@pytest.mark.parametrize("scales", [(1.0, 1.0), (0.98, 1.03)], ids=["one scale", "a scale for each factor"])
 def test_disturbed_poses_are_mended(scales: tuple[float, float]) -> None:
     truth = path(24)
     start = disturbed(truth, 0.01)
-    windows = [window(truth, k, 8, scales[i % 2]) for i, k in enumerate(range(0, 24, 4))]
-    fitted = fit_trajectory(start, windows, LOOSE, np.arange(24) == 0)
+    factors = [factor(truth, k, 8, scales[i % 2]) for i, k in enumerate(range(0, 24, 4))]
+    fitted = optimise_trajectory(start, factors, LOOSE, np.arange(24) == 0)
     assert misfit(start, truth) > 5e-3
     assert misfit(fitted, truth) < 2e-4
     np.testing.assert_allclose(fitted[0], start[0])
@@ -77,17 +77,18 @@ def test_held_frames_do_not_move() -> None:
     truth = path(24)
     start = disturbed(truth, 0.01)
     held = np.arange(24) < 10
-    fitted = fit_trajectory(start, [window(truth, k, 8) for k in range(0, 24, 4)], LOOSE, held)
+    fitted = optimise_trajectory(start, [factor(truth, k, 8) for k in range(0, 24, 4)], LOOSE, held)
     np.testing.assert_allclose(fitted[held], start[held], atol=1e-12)
     assert np.abs(fitted[~held] - start[~held]).max() > 1e-3
 
 
-def test_parts_that_no_window_joins_stay_where_they_were() -> None:
+def test_parts_that_no_factor_joins_stay_where_they_were() -> None:
     truth = path(30)
     start = disturbed(truth, 0.005)
-    windows = [window(truth[:15], k, 6) for k in (0, 5, 10)]
-    late = [Window(w.reference + 15, w.frames + 15, w.bundle) for w in (window(truth[15:], k, 6) for k in (0, 5, 10))]
-    fitted = fit_trajectory(start, [*windows, *late], PosePrior(0.01, 0.01), np.arange(30) == 0)
+    factors = [factor(truth[:15], k, 6) for k in (0, 5, 10)]
+    second = [factor(truth[15:], k, 6) for k in (0, 5, 10)]
+    late = [BundleFactor(f.reference + 15, f.frames + 15, f.bundle) for f in second]
+    fitted = optimise_trajectory(start, [*factors, *late], PosePrior(0.01, 0.01), np.arange(30) == 0)
     assert misfit(fitted[15:], truth[15:]) < 0.3 * misfit(start[15:], truth[15:])
     assert np.linalg.norm((fitted[15:, :3, 3] - start[15:, :3, 3]).mean(axis=0)) < 5e-3
 
@@ -100,8 +101,8 @@ def test_growth_of_distances() -> None:
 
 
 @lru_cache(maxsize=1)
-def real_windows() -> tuple[Array, Array, list[Window]]:
-    """Truth, a start that is off, and windows of real images from the start and depth that is off, too."""
+def real_factors() -> tuple[Array, Array, list[BundleFactor]]:
+    """Truth, a start that is off, and factors of real images from the start and depth that is off, too."""
     sequence = RoomsDataset().open("tiny", width=256)
     assert sequence.groundtruth is not None
     count = 16
@@ -109,7 +110,7 @@ def real_windows() -> tuple[Array, Array, list[Window]]:
     scale = WorkingScale.of(sequence.camera, 256)
     luma = np.stack([luma_of_frame(sequence.image(i), scale.valid) for i in range(count)])
     start = disturbed(truth, 0.003)
-    windows = []
+    factors = []
     for k in (0, 5, 10, 15):
         depth = sequence.depth(k)
         assert depth is not None
@@ -119,19 +120,19 @@ def real_windows() -> tuple[Array, Array, list[Window]]:
         options = BundleOptions(cell_px=4)
         bundle = refine(luma[k], scale.rays, depth, luma[frames], T_fr, scale.code, scale.cam, options)
         assert bundle.ok
-        windows.append(Window(k, frames, bundle))
-    return truth, start, windows
+        factors.append(BundleFactor(k, frames, bundle))
+    return truth, start, factors
 
 
-def test_windows_of_images_mend_a_trajectory() -> None:
-    truth, start, windows = real_windows()
-    fitted = fit_trajectory(start, windows, PosePrior(0.02, 0.01), np.arange(len(truth)) == 0)
+def test_factors_of_images_mend_a_trajectory() -> None:
+    truth, start, factors = real_factors()
+    fitted = optimise_trajectory(start, factors, PosePrior(0.02, 0.01), np.arange(len(truth)) == 0)
     assert misfit(fitted, truth) < 0.4 * misfit(start, truth)
 
 
-def test_what_is_left_of_a_window_does_not_mind_its_scale() -> None:
-    for w in real_windows()[2]:
-        A, T = w.bundle.information, w.bundle.T_fr
+def test_cost_of_a_factor_does_not_depend_on_its_scale() -> None:
+    for f in real_factors()[2]:
+        A, T = f.bundle.information, f.bundle.T_fr
         free = np.concatenate([T[:, :3, 3], np.zeros((len(T), 3))], axis=1).ravel()
         free /= np.linalg.norm(free)
         assert np.all(np.linalg.eigvalsh(A) > -1e-6 * np.trace(A) / len(A))

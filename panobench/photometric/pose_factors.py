@@ -1,9 +1,9 @@
-"""Poses of a whole trajectory from windows of bundle adjustment that overlap.
+"""Poses of a whole trajectory from bundle-adjustment factors that overlap.
 
-A window is what is left of one reference's bundle adjustment: the poses of the frames around it, a quadratic around
-them, and a scale of its own. Every frame is in several windows; the trajectory is what suits all of them best. With
-the depths already eliminated there are few unknowns, so a trajectory is solved for in milliseconds however many
-pixels stand behind it. A weak prior on the poses as they were joins parts that no window ties together.
+A factor is what is left of one reference's bundle adjustment once the depths are marginalised: the poses of the frames
+around it, a quadratic cost around them, and a scale of its own. Every frame is in several factors, and the trajectory
+minimises the sum of their costs. There are few unknowns, so it is solved for in milliseconds however many pixels stand
+behind it. A weak prior on the poses as they were joins parts that no factor ties together.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from panobench.photometric.bundle import Bundle
 Array = NDArray[np.float64]
 
 ITERATIONS = 4
-#: Largest change of a step, in units of the prior's standard deviations, after which nothing is left to do.
-SETTLED = 1e-3
+#: A step that changes nothing by more than this, in standard deviations of the prior, is the last one.
+CONVERGED = 1e-3
 
 
 @dataclass(frozen=True)
-class Window:
-    """reference: number of a frame; frames (F,): numbers of the others, as in ``bundle``."""
+class BundleFactor:
+    """reference: number of a frame. frames (F,): numbers of the others, in the order of ``bundle``."""
 
     reference: int
     frames: NDArray[np.int64]
@@ -41,8 +41,8 @@ class PosePrior:
     rotation: float
 
 
-def fit_trajectory(T_wc: Array, windows: list[Window], prior: PosePrior, held: NDArray[np.bool_]) -> Array:
-    """Poses (N, 4, 4) that suit all ``windows``; those ``held`` (N,) stay. T_wc (N, 4, 4): start and prior.
+def optimise_trajectory(T_wc: Array, factors: list[BundleFactor], prior: PosePrior, held: NDArray[np.bool_]) -> Array:
+    """Poses (N, 4, 4) that minimise the factors' costs; those ``held`` (N,) stay. T_wc (N, 4, 4): start and prior.
 
     Frames are numbered from 0 to N - 1. Gauss-Newton on left twists of T_cw; the prior keeps the system regular.
     """
@@ -53,24 +53,24 @@ def fit_trajectory(T_wc: Array, windows: list[Window], prior: PosePrior, held: N
     free = np.flatnonzero(np.repeat(~held, 6))
     for _ in range(ITERATIONS if len(free) else 0):
         H, b = np.diag(unit), unit * se3_log(T_cw @ invert_pose(before)).ravel()
-        for window in windows:
-            A, g = _part(window, T_cw)
-            cells = (6 * np.append(window.frames, window.reference)[:, None] + np.arange(6)).ravel()
+        for factor in factors:
+            A, g = _linearise(factor, T_cw)
+            cells = (6 * np.append(factor.frames, factor.reference)[:, None] + np.arange(6)).ravel()
             H[cells[:, None], cells] += A
             b[cells] += g
         x = np.zeros(6 * count)
         x[free] = solve(H[free[:, None], free], -b[free], assume_a="pos", overwrite_a=True, check_finite=False)
         T_cw = renormalise(se3_exp(x.reshape(count, 6)) @ T_cw)
-        if np.abs(x * np.sqrt(unit)).max() < SETTLED:
+        if np.abs(x * np.sqrt(unit)).max() < CONVERGED:
             break
     return invert_pose(T_cw)
 
 
-def reduced(window: Window, keep: NDArray[np.bool_]) -> Window | None:
-    """The window over the frames to ``keep`` (F,) alone, the others eliminated (Schur complement); None without any."""
+def marginalise(factor: BundleFactor, keep: NDArray[np.bool_]) -> BundleFactor | None:
+    """The factor over the frames to ``keep`` (F,), the others marginalised (Schur complement); None if none is kept."""
     if not keep.any():
         return None
-    b = window.bundle
+    b = factor.bundle
     kept, gone = (np.repeat(mask, 6) for mask in (keep, ~keep))
     H, g = b.information, b.gradient
     across = H[np.ix_(kept, gone)]
@@ -79,24 +79,24 @@ def reduced(window: Window, keep: NDArray[np.bool_]) -> Window | None:
     solved = np.linalg.solve(Hgg, np.column_stack([across.T, g[gone]]))
     A, rest = H[np.ix_(kept, kept)] - across @ solved[:, :-1], g[kept] - across @ solved[:, -1]
     bundle = replace(b, T_fr=b.T_fr[keep], information=0.5 * (A + A.T), gradient=rest)
-    return Window(window.reference, window.frames[keep], bundle)
+    return BundleFactor(factor.reference, factor.frames[keep], bundle)
 
 
 def log_scale(own: Array, now: Array) -> float:
-    """By what translations of poses ``own`` (F, 4, 4) must grow to be those of ``now``."""
+    """Log of the factor that takes the translations of poses ``own`` (F, 4, 4) to those of ``now``, least squares."""
     a, b = own[:, :3, 3], now[:, :3, 3]
     return float(np.log(max((a * b).sum(), 1e-18) / max((a**2).sum(), 1e-18)))
 
 
-def _part(window: Window, T_cw: Array) -> tuple[Array, Array]:
-    """H (6F + 6, 6F + 6) and b over the twists of a window's frames and then of its reference.
+def _linearise(factor: BundleFactor, T_cw: Array) -> tuple[Array, Array]:
+    """H (6F + 6, 6F + 6) and b over the twists of a factor's frames and then of its reference.
 
-    The residual is the misfit in the window's own unit, at the scale its translations have in the trajectory. That
-    scale must be a function of the poses, and be differentiated with them: were it fixed, a smaller trajectory would
-    suit all windows better; were it free, a window out of all proportion would fit anything.
+    The residual is in the factor's own unit, at the scale its translations have in the trajectory. That scale must be
+    a function of the poses and be differentiated with them: were it fixed, a smaller trajectory would lower every
+    cost; were it free, a factor out of all proportion would fit anything.
     """
-    bundle, F = window.bundle, len(window.frames)
-    T_fr = T_cw[window.frames] @ invert_pose(T_cw[window.reference])
+    bundle, F = factor.bundle, len(factor.frames)
+    T_fr = T_cw[factor.frames] @ invert_pose(T_cw[factor.reference])
     own, scale = bundle.T_fr, log_scale(bundle.T_fr, T_fr)
     measured = own.copy()
     measured[:, :3, 3] *= np.exp(scale)

@@ -7,7 +7,9 @@ from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import execute
 from panobench.cameras.erp import ErpCamera
-from panobench.methods.panogs.exposure import ExposureGuard
+from panobench.methods.panogs.config import ExposureOptions
+from panobench.methods.panogs.exposure import ExposureMatcher
+from panobench.photometric.overlap import ViewWidth
 from panobench.splat.loss import pixel_weights
 
 CAMERA = ErpCamera(128, 64)
@@ -19,8 +21,8 @@ def picture(seed: int = 0) -> np.ndarray:
     return np.kron(coarse, np.ones((8, 8, 1))).astype(np.uint8)
 
 
-def guard(wide: bool = True) -> ExposureGuard:
-    made = ExposureGuard(pixel_weights(CAMERA), wide)
+def matcher(width: ViewWidth = ViewWidth.WIDE) -> ExposureMatcher:
+    made = ExposureMatcher(pixel_weights(CAMERA), width, ExposureOptions())
     made.start(picture())
     return made
 
@@ -28,28 +30,28 @@ def guard(wide: bool = True) -> ExposureGuard:
 @pytest.mark.parametrize("gain", [0.6, 0.8, 1.3, 1.6])
 def test_a_gain_is_taken_back(gain: float) -> None:
     changed = np.clip(picture() * gain, 0, 255).astype(np.uint8)
-    back = guard().before(changed)
+    back = matcher().before(changed)
     np.testing.assert_allclose(back.astype(float), picture().astype(float), atol=3)
 
 
 def test_small_gains_and_narrow_views_are_left_alone() -> None:
     slightly = (picture() * 1.02).astype(np.uint8)
-    assert guard().before(slightly) is slightly
+    assert matcher().before(slightly) is slightly
     much = (picture() * 1.4).astype(np.uint8)
-    assert guard(wide=False).before(much) is much
+    assert matcher(ViewWidth.NARROW).before(much) is much
 
 
-def test_neither_a_turn_nor_an_occluder_is_a_change_of_exposure() -> None:
-    turned = np.roll(picture(), 5, axis=1)
+def test_neither_a_rotation_nor_an_occluder_is_a_change_of_exposure() -> None:
+    rotated = np.roll(picture(), 5, axis=1)
     covered = picture()
     covered[:, 20:52] = 70
-    assert guard().before(turned) is turned
-    assert guard().before(covered) is covered
+    assert matcher().before(rotated) is rotated
+    assert matcher().before(covered) is covered
 
 
 def test_black_frames_have_no_gain() -> None:
     black = np.zeros_like(picture())
-    assert guard().before(black) is black
+    assert matcher().before(black) is black
 
 
 @pytest.mark.slow
@@ -58,7 +60,7 @@ def test_panogs_follows_a_swinging_exposure(tmp_path) -> None:  # type: ignore[n
     for match in (True, False):
         request = RunRequest(
             method="panogs", dataset="disturbed", sequence="rooms/tiny:rolling=0.3", width=128, max_frames=40,
-            settings={"match_exposure": match},
+            settings={"exposure.match": match},
         )  # fmt: skip
         run = read_run_json(execute(request, tmp_path / str(match)))
         errors[match] = run["metrics"]["ate_rmse_m"] if run["metrics"]["tracked"] == 1.0 else np.inf

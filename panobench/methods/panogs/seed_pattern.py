@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
-from panobench.methods.panogs.surface import equal_area_pixels
+from panobench.methods.splatting.seeding import equal_area_pixels
 from panobench.splat.gaussians import F32
 
 #: Gradient (of 1, per pixel at the equator) that noise alone may have: below it nothing is a detail.

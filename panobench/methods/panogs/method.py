@@ -1,0 +1,270 @@
+"""PanoGS-SLAM: monocular panoramic Gaussian splatting SLAM as an online method.
+
+Mao et al., "PanoGS-SLAM: Panoramic 3D Gaussian Splatting SLAM". What differs from the paper is in docs/panogs.md.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from enum import Enum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
+from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.exposure import ExposureMatcher
+from panobench.methods.panogs.factors import FactorGraph
+from panobench.methods.panogs.fixed_lag import FixedLag
+from panobench.methods.panogs.jobs import BackgroundJobs
+from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.place_recognition import Places
+from panobench.methods.panogs.relocalise import Relocaliser
+from panobench.methods.panogs.revisits import RevisitFactors
+from panobench.methods.panogs.tracker import Tracked, Tracker
+from panobench.methods.panogs.trajectory import AnchoredTrajectory
+from panobench.methods.splatting.views import View
+from panobench.photometric.overlap import ViewWidth
+from panobench.splat.render import Renderer
+from panobench.splat.view import Projection
+from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
+
+Pose = NDArray[np.float64]
+#: Standard deviation, in 8-bit levels, below which a frame shows nothing.
+BLANK_LEVELS = 1.0
+
+
+class Phase(Enum):
+    """What the method is doing."""
+
+    WAITING = "waiting for parallax"
+    TRACKING = "tracking"
+    LOST = "lost"
+    FINISHING = "finishing"
+
+
+class PanogsMethod(OnlineMethod):
+    """One frame is: track, judge, record, map, next job. See ``_process``."""
+
+    config: PanogsConfig
+
+    def __init__(self, config: PanogsConfig | None = None) -> None:
+        super().__init__(config or PanogsConfig())
+
+    def start(self, camera: Camera, context: MethodContext) -> None:
+        c, width = self.config, ViewWidth.of(camera)
+        self.camera, self.context, self.phase = camera, context, Phase.WAITING
+        renderer = Renderer(camera, self._projection, c.rendering.low_pass)
+        tracking_renderer = Renderer(camera, self._projection, c.rendering.low_pass, stop=1e-3)
+
+        self.trajectory = AnchoredTrajectory()
+        self.tracker = Tracker(camera, tracking_renderer, c)
+        self.places = Places(camera)
+        self.relocaliser = Relocaliser(self.tracker, self.places, c.relocalisation)
+        self.mapper = Mapper(camera, renderer, c, self.trajectory, context.seed)
+        self.exposure = ExposureMatcher(self.mapper.weights, width, c.exposure)
+        self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)
+        buffer = self.lag.buffer
+        revisits = RevisitFactors(buffer.sweep_scale, c.revisits) if c.revisits.enabled else None
+        self.graph = FactorGraph(buffer.fine_scale, width, c.factors, revisits)
+        self.jobs = BackgroundJobs(self.mapper, self.trajectory, self.graph, self.lag, width)
+        self.trajectory.followers = [self.mapper, self.tracker, self.relocaliser]
+
+        self.estimator = context.make_depth() if context.make_depth else None
+        if self.estimator:
+            self.estimator.start(camera, context.seed)
+        self.first_depth: DepthEstimate | None = None
+        self.waiting: list[Frame] = []
+        self.before_first: list[Frame] = []  # frames before the one whose depth the map starts from
+        self.numbers: dict[int, dict[str, float]] = {}
+
+    @property
+    def _projection(self) -> Projection:
+        chosen = self.config.rendering.projection
+        return "sphere" if chosen == "auto" else chosen
+
+    # -- one frame -----------------------------------------------------------------------------------------------------
+
+    def track(self, frame: Frame) -> Pose | None:
+        if self._is_blank(frame.image):
+            self._skip(frame)
+        elif self.phase is Phase.WAITING:
+            self._wait(frame)
+        else:
+            self._process(frame)
+        return self.trajectory.get(frame.index)
+
+    def _process(self, frame: Frame) -> None:
+        """Track, judge, record, map, next job."""
+        began = time.perf_counter()
+        numbers = self.numbers.setdefault(frame.index, {})
+        gaussians = self.mapper.map.gaussians
+
+        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians)
+        trusted = self.relocaliser.judge(tracked, gaussians, self.trajectory.keyframes)
+        if trusted is None:
+            self._enter(Phase.LOST)
+            numbers |= {"lost": 1.0, "tracking_s": time.perf_counter() - began}
+            return
+        self._enter(Phase.TRACKING)
+
+        frame = self._at_map_exposure(frame, trusted)
+        scene_depth = self.mapper.local_depth(trusted.render)
+        self._record(frame, trusted, scene_depth)
+        tracking_s = time.perf_counter() - began
+        numbers |= {
+            "tracking_s": tracking_s,
+            "loss": trusted.cost,
+            "iterations": float(trusted.iterations),
+            "gaussians": float(len(gaussians)),
+        }
+        if frame.mappable:
+            self._map(frame, trusted)
+        self.jobs.run_next(scene_depth)
+        if self.config.mapping.steps_per_frame:
+            self.mapper.optimiser.work(self.config.mapping.steps_per_frame)
+        else:
+            self.mapper.optimiser.work_all()
+        self.tracker.reset(self.trajectory[frame.index], self.tracker.velocity)
+        numbers["mapping_s"] = time.perf_counter() - began - tracking_s
+
+    def _at_map_exposure(self, frame: Frame, tracked: Tracked) -> Frame:
+        """The frame with its image at the map's exposure, judged by its own render."""
+        image = self.exposure.after(frame.image, tracked.render)
+        if image is frame.image:
+            return frame
+        self.tracker.pyramid = self.tracker.frame_pyramid(image)
+        return replace(frame, image=image)
+
+    def _record(self, frame: Frame, tracked: Tracked, scene_depth: float) -> None:
+        """Remember the pose, and the image where it moved, for the jobs behind the tracker."""
+        self.trajectory.add(frame.index, frame.time, tracked.T_wc, self.mapper.window[0])
+        buffered = self.lag.buffer.add(frame, self.tracker.pyramid, tracked.T_wc[:3, 3], scene_depth)
+        if buffered:
+            self.graph.add(frame.index, buffered.fine)
+
+    def _map(self, frame: Frame, tracked: Tracked) -> None:
+        """Make the frame a keyframe if it should be one; else the map is trained on it like on others."""
+        is_keyframe, new_share = self.mapper.add_frame(frame, tracked)
+        self.numbers[frame.index] |= {"new_share": new_share, "keyframe": float(is_keyframe)}
+        if is_keyframe:
+            self.places.add(self.places.thumbnail(self.tracker.pyramid[-1]))
+            self.lag.sweep_wanted = True
+
+    def _is_blank(self, image: NDArray[np.uint8]) -> bool:
+        """Nothing to align or to map: a closed shutter, a saturated sensor, fog."""
+        _, deviation = cv2.meanStdDev(image, mask=self.tracker.valid.view(np.uint8))
+        return bool(deviation.max() < BLANK_LEVELS)
+
+    def _skip(self, frame: Frame) -> None:
+        """No pose for this frame; the camera is expected to move on as before."""
+        self.numbers[frame.index] = {"blank": 1.0}
+        self.relocaliser.interrupted()
+        self.tracker.coast()
+
+    def _enter(self, phase: Phase) -> None:
+        if self.phase is not Phase.FINISHING:
+            self.phase = phase
+
+    # -- the start -----------------------------------------------------------------------------------------------------
+
+    def _wait(self, frame: Frame) -> None:
+        """Collect frames until the estimator has the depth of one of them."""
+        if not self.waiting:
+            if not frame.mappable:  # the map begins with a frame that it may see
+                return
+            self.exposure.start(frame.image)
+        self.waiting.append(frame)
+        if self.estimator is None:
+            shape = frame.image.shape[:2]
+            depth_map = np.full(shape, self.config.start.constant_depth, np.float32)
+            self._initialise(DepthEstimate(depth_map, frame.index))
+            return
+        estimate = self.estimator.add(replace(frame, image=self.exposure.before(frame.image)))
+        if estimate is not None:
+            self._initialise(estimate)
+
+    def _initialise(self, estimate: DepthEstimate) -> None:
+        """Build the first map and track the frames that waited for it."""
+        self.first_depth = estimate
+        self._enter(Phase.TRACKING)
+        if estimate.message:
+            self.context.log(estimate.message)
+        waiting, self.waiting = self.waiting, []
+        first = next(f for f in waiting if f.index == estimate.frame_index)
+        view = View(first.index, first.image, np.eye(4))
+        self.mapper.initialise(view, first.time, estimate.depth)
+        levels = self.tracker.frame_pyramid(view.image)
+        self.graph.add(first.index, levels[self.lag.buffer.fine_scale.level])
+        self.places.add(self.places.thumbnail(levels[-1]))
+        self.tracker.reset(view.T_wc)
+        self.numbers[first.index] = {"keyframe": 1.0}
+        self.before_first = [f for f in waiting if f.index < first.index]
+        for frame in self.before_first:  # until there is a map to track them against, the estimator's poses have to do
+            if frame.index in estimate.T_wc:
+                self.trajectory.add(frame.index, frame.time, estimate.T_wc[frame.index], view)
+        for frame in waiting:
+            if frame.index > first.index:
+                if frame.index in estimate.T_wc:
+                    self.tracker.expect(estimate.T_wc[frame.index])
+                self._process(frame)
+
+    # -- the end -------------------------------------------------------------------------------------------------------
+
+    def finish(self) -> Estimate:
+        self.phase = Phase.FINISHING
+        if self.waiting and self.estimator is not None:
+            estimate = self.estimator.finish()
+            if estimate is not None:
+                self._initialise(estimate)
+        self.jobs.finish()
+        self._track_before_first()
+        self.mapper.optimiser.polish(self.config.mapping.final_iterations * len(self.trajectory.keyframes))
+        indices = sorted(self.trajectory)
+        times = np.array([self.trajectory.time(i) for i in indices])
+        poses = np.array([self.trajectory[i] for i in indices]).reshape(-1, 4, 4)
+        gaussians = self.mapper.map.gaussians
+        return Estimate(
+            Trajectory(times, poses),
+            keyframes=sorted(v.index for v in self.trajectory.keyframes),
+            metric=bool(self.first_depth and self.first_depth.metric),
+            map=gaussians if len(gaussians) else None,
+            frames=self.numbers,
+            depth=self.first_depth,
+            extra={"gaussians": len(gaussians), "projection": self._projection},
+        )
+
+    def _track_before_first(self) -> None:
+        """Track and map the frames before the first map backwards; one that is lost keeps the estimator's pose."""
+        if not self.before_first:
+            return
+        self.lag.buffer.clear()
+        self.graph.reverse()
+        self.tracker.restart(self.trajectory.keyframes[0].T_wc)
+        self.relocaliser.interrupted()
+        for frame in reversed(self.before_first):
+            estimated = self.trajectory.pop(frame.index)
+            self._process(frame)
+            if estimated is not None and frame.index not in self.trajectory:
+                self.trajectory.restore(frame.index, estimated)
+        self.jobs.finish()
+
+    # -- looking at it -------------------------------------------------------------------------------------------------
+
+    def live_map(self) -> LiveMap | None:
+        gaussians = self.mapper.map.gaussians
+        if not len(gaussians):
+            return None
+        keyframes = np.array([v.T_wc for v in self.trajectory.keyframes]).reshape(-1, 4, 4)
+        return LiveMap(gaussians.means, np.clip(gaussians.colours, 0.0, 1.0), keyframes)
+
+    def render(self, camera: Camera, T_wc: Pose) -> NDArray[np.float32] | None:
+        gaussians = self.mapper.map.gaussians
+        if not len(gaussians):
+            return None
+        projection = self._projection if self._projection == camera.kind else "sphere"
+        renderer = Renderer(camera, projection, self.config.rendering.low_pass)
+        return np.ascontiguousarray(np.clip(renderer.forward(gaussians, T_wc).colour, 0.0, 1.0))
