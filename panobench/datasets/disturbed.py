@@ -1,4 +1,7 @@
-"""Any dataset's sequences with a disturbed stream, by name: ``rooms/room1:noise=0.03:blur=2``."""
+"""Any dataset's sequences with a disturbed stream, by name: ``rooms/room1+operator-15:noise=0.03``.
+
+Behind "+" stand the parts of a simulated recording (``panobench.capture``), behind ":" disturbances of the images.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,18 @@ from panobench.types import Imu, NovelView, Trajectory
 
 #: Raised when the same name gives other images.
 DISTURBANCE_VERSION = 1
+#: Parts of recordings that are worth a look.
+EXAMPLES = (
+    "operator-15",
+    "car-25",
+    "walkers-3",
+    "rolling-15ms+turn-200",
+    "blur-10ms+turn-200",
+    "stitch-41mm+lenses-0.3",
+    "gait+levelled+operator-15",
+    "h264-0.1",
+    "operator-15+walkers-3+rolling-15ms+stitch-41mm+lenses+gait+h264-0.1",
+)
 
 
 class DisturbedSequence(FrameSequence):
@@ -71,16 +86,21 @@ class DisturbedDataset(Dataset):
     name: ClassVar[str] = "disturbed"
 
     def sequences(self) -> list[str]:
-        """Examples: each disturbance on one room. Any DATASET/SEQUENCE can stand before them, and several after it."""
-        return [f"rooms/room1:{name}" for name in BARE]
+        """Examples on one room: each disturbance, and parts of a recording.
 
-    def open(self, sequence: str | None = None, *, width: int | None = None) -> DisturbedSequence:
-        """Open [DATASET/]SEQUENCE[:DISTURBANCE[=NUMBER]]...; the dataset is ``rooms`` where none is named.
-
-        Raises UnknownNameError and UsageError for disturbances there are none of, and what the dataset raises.
+        Any DATASET/SEQUENCE can stand before them, and several after it.
         """
+        return [f"rooms/room1:{name}" for name in BARE] + [f"rooms/room1+{parts}" for parts in EXAMPLES]
+
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
+        """Open [DATASET/]SEQUENCE[+PART[-NUMBER]]...[:DISTURBANCE[=NUMBER]]...; the dataset is ``rooms`` by default.
+
+        Raises UnknownNameError and UsageError for parts and disturbances that do not exist, and what the data raise.
+        """
+        from panobench.capture.parts import split_name
         from panobench.datasets.open import open_sequence
         from panobench.plugins import registry
+        from panobench.rooms.options import VARIANTS
         from panobench.specs import DatasetSpec
 
         name = sequence or self.sequences()[0]
@@ -91,5 +111,13 @@ class DisturbedDataset(Dataset):
         if dataset == self.name:
             raise UsageError(f"sequence '{name}': name a dataset that is not disturbed yet")
         chosen = Disturbances.parse(texts)
+        inner, parts = split_name(inner, VARIANTS if dataset == "rooms" else ())
         root = self.root if registry().get(DatasetSpec, dataset).needs_root else None
-        return DisturbedSequence(open_sequence(dataset, inner or None, root, width), chosen, name)
+        source = open_sequence(dataset, inner or None, root, width)
+        if parts:
+            from panobench.capture.sequence import CapturedSequence
+
+            source = CapturedSequence(source, parts, name)
+            if not texts:
+                return source
+        return DisturbedSequence(source, chosen, name)

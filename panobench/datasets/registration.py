@@ -48,9 +48,9 @@ DATASETS: tuple[DatasetSpec, ...] = (
     ),
     DatasetSpec(
         "disturbed",
-        "another dataset's sequence with noise, blur, swinging exposure, an occluder, black frames or yaw",
+        "another dataset's sequence with noise, blur, an occluder and so on, or as a simulated recording of it",
         "panobench.datasets.disturbed:DisturbedDataset",
-        layout="--sequence DATASET/SEQUENCE:NAME=NUMBER, for example rooms/room1:noise=0.03:blur=2",
+        layout="--sequence DATASET/SEQUENCE+PART-NUMBER:NAME=NUMBER, for example rooms/room1+operator-15:noise=0.03",
         needs_root=False,
     ),
     DatasetSpec(

@@ -56,6 +56,11 @@ class RoomSequence(FrameSequence):
         self._studio_made: Studio | None = None
 
     @property
+    def world(self) -> World:
+        """The room and its path, for what photographs it otherwise."""
+        return self._world
+
+    @property
     def _studio(self) -> Studio:
         if self._studio_made is None:
             self._studio_made = Studio(self._world, self.camera, self.options)
