@@ -38,7 +38,7 @@ def spans_and_truth(camera: Camera, g: GaussianMap) -> tuple[np.ndarray, np.ndar
     """(M, H, W): pixels that each drawn Gaussian's entries visit, and those its footprint holds (float64)."""
     renderer = Renderer(camera, "sphere", low_pass=0.1, stop=0.0)
     out = renderer.forward(g, np.eye(4))
-    s, view = renderer._scene, renderer.view
+    s, view = out._tape, renderer.view
     assert s is not None
     H, W, M = view.height, view.width, len(out.order)
     visited = np.zeros((M, H, W), bool)
