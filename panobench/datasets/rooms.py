@@ -1,9 +1,10 @@
-"""The built-in rooms as a dataset: rendered on first use, then read from the cache."""
+"""The built-in rooms as a dataset: frames are rendered on first use and then read from the cache."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,20 +16,23 @@ from panobench.cameras.erp import ErpCamera
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.errors import DatasetError, UnknownNameError
 from panobench.rooms import cache
+from panobench.rooms.frames import FrameRenderer
 from panobench.rooms.kinds import KINDS
 from panobench.rooms.options import RoomOptions, parse_name
-from panobench.rooms.produce import Studio
 from panobench.rooms.world import World
 from panobench.types import NovelView, Trajectory
 
 DEFAULT_WIDTH = 512
-CHUNK = 20  # frames rendered together on first use
+CHUNK = 20  # frames that are rendered together
 
 Progress = Callable[[int, int], None]
 
 
 class RoomSequence(FrameSequence):
-    """One room seen by one camera. Images come from the cache, which is filled in chunks as frames are asked for."""
+    """One room seen by one camera. Images come from the cache, which is filled in chunks when frames are requested.
+
+    progress(done, total) is called after every chunk that is rendered.
+    """
 
     dataset = "rooms"
 
@@ -53,32 +57,29 @@ class RoomSequence(FrameSequence):
             values["mask"] = np.packbits(camera.mask).tobytes().hex()
         self._key = cache.key_of(values)
         self._folder = cache.cache_root() / "rooms" / f"{kind}-{options.seed}-{camera.kind}{camera.width}-{self._key}"
-        self._studio_made: Studio | None = None
 
     @property
     def world(self) -> World:
-        """The room and its path, for what photographs it otherwise."""
+        """The room and the camera's path through it, for simulations that render it in another way."""
         return self._world
 
-    @property
-    def _studio(self) -> Studio:
-        if self._studio_made is None:
-            self._studio_made = Studio(self._world, self.camera, self.options)
-        return self._studio_made
+    @cached_property
+    def _renderer(self) -> FrameRenderer:
+        return FrameRenderer(self._world, self.camera, self.options)
 
     def _chunk(self, index: int) -> Path:
-        """The folder that holds frame ``index``, rendered now if need be."""
+        """The cache folder with frame ``index``, which is rendered now if it is missing."""
         first = index // CHUNK * CHUNK
         folder = self._folder / f"{first:06d}"
         if not folder.is_dir():
             last = min(first + CHUNK, len(self))
-            cache.publish(folder, lambda to: self._studio.render_frames(first, last, to))
+            cache.publish(folder, lambda to: self._renderer.render_frames(first, last, to))
             if self._progress:
                 self._progress(last, len(self))
         return folder
 
     def prepare(self, last: int | None = None) -> None:
-        """Render frames 0..last (default: all) now, with a progress bar on a terminal."""
+        """Render the first ``last`` frames (None: all) now, with a progress bar on a terminal."""
         n = len(self) if last is None else min(last, len(self))
         missing = [i for i in range(0, n, CHUNK) if not (self._folder / f"{i:06d}").is_dir()]
         if not missing:
@@ -109,21 +110,21 @@ class RoomSequence(FrameSequence):
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
     def depth(self, index: int) -> NDArray[np.float32] | None:
-        """Exact radial depth of the pixel centres, cast anew; NaN outside the camera's view and on an occluder."""
-        return self._studio.depth(self._checked(index))
+        """Exact radial depth (H, W) of the pixel centres, metres; NaN outside the camera's view and on an occluder."""
+        return self._renderer.depth(self._checked(index))
 
     @property
     def groundtruth(self) -> Trajectory | None:
-        return Trajectory(self.times, self._studio.T_wc)
+        return Trajectory(self.times, self._renderer.T_wc)
 
     def novel_views(self) -> list[NovelView]:
-        """Eight poses off the trajectory, without noise or the options' troubles."""
+        """Eight views away from the trajectory, without noise or disturbances."""
         import cv2
 
         folder = self._folder / "novel"
-        cache.publish(folder, self._studio.render_novel)
+        cache.publish(folder, self._renderer.render_novel)
         views = []
-        for k, T in enumerate(self._studio.T_novel):
+        for k, T in enumerate(self._renderer.T_novel):
             image = cv2.imread(str(folder / f"{k:03d}.png"), cv2.IMREAD_COLOR)
             if image is None:
                 raise DatasetError(
@@ -171,8 +172,8 @@ class RoomsDataset(Dataset):
     ) -> RoomSequence:
         """Open e.g. "room1", "room3@7" (seed 7) or "room1+blur2+noise0.03" (see ``RoomOptions``).
 
-        camera: any model (default: a full ERP of ``width``, 512). progress(done, total) is called after every
-        chunk rendered. Raises UnknownNameError and UsageError for names and options there are none of.
+        camera: any model; None: a full panorama of ``width`` (None: 512). progress: see ``RoomSequence``.
+        Raises UnknownNameError for an unknown room or variant, UsageError for an option out of range.
         """
         name = sequence or "room1"
         kind, chosen = parse_name(name, options)

@@ -1,8 +1,8 @@
 """Bakes light into the nodes: area lights and sun with soft shadows, then diffuse interreflection.
 
-Per node, in units of irradiance / pi: direct light by stratified points on every light with shadow rays; what bounces
-by cosine-weighted rays whose hits are kept, so that further bounces are look-ups only. Nodes that sit inside an object
-(most rays meet back sides) take their neighbours' light.
+Direct light comes from shadow rays to stratified points on every light. Indirect light comes from cosine-weighted
+rays whose hits are stored, so that further bounces are only look-ups. A node inside an object, most of whose rays meet
+back sides, takes its neighbours' light. All light is irradiance / pi.
 """
 
 from __future__ import annotations
@@ -14,18 +14,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from panobench.rooms.mesh import TRIANGLE
 from panobench.rooms.scene import Geometry, Surfaces
 from panobench.rooms.shading import GLOW, node_light
 from panobench.rooms.trace import trace as trace_ray
 
-LIGHT_SAMPLES = 4  # squared: points per light
-BOUNCE_RAYS = 8  # squared: rays per node
+LIGHT_SAMPLES = 4  # points per light, along each side
+BOUNCE_RAYS = 8  # rays per node, along each side of the square that is sampled
 BOUNCES = 4
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _hash(a: int, b: int) -> float:
-    """Uniform number in 0..1 of two integers (a small integer hash)."""
+    """Uniform number in 0..1 from two integers (finaliser in the manner of splitmix64)."""
     x = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(b) * np.uint64(0xC2B2AE3D27D4EB4F)
     x ^= x >> np.uint64(29)
     x *= np.uint64(0xBF58476D1CE4E5B9)
@@ -59,10 +60,11 @@ def _gather(
     hit_v: Any,
     inside: Any,
 ) -> None:
+    """Direct light of nodes first to last - 1, the hits of their bounce rays, and whether they are inside an object."""
     stack = np.empty(128, np.int32)
     for i in range(first, last):
         n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
-        # Any tangent basis (Duff et al. 2017).
+        # A tangent basis (Duff et al. 2017).
         s = 1.0 if n2 >= 0 else -1.0
         a = -1.0 / (s + n2)
         b = n0 * n1 * a
@@ -81,7 +83,7 @@ def _gather(
                 l0 = light_u[k, 1] * light_v[k, 2] - light_u[k, 2] * light_v[k, 1]
                 l1 = light_u[k, 2] * light_v[k, 0] - light_u[k, 0] * light_v[k, 2]
                 l2 = light_u[k, 0] * light_v[k, 1] - light_u[k, 1] * light_v[k, 0]
-                # As many points as the light can matter here, judged from its centre.
+                # Use more points for a light that may contribute more, by a bound from its centre.
                 dx = light_p[k, 0] + 0.5 * (light_u[k, 0] + light_v[k, 0]) - ox
                 dy = light_p[k, 1] + 0.5 * (light_u[k, 1] + light_v[k, 1]) - oy
                 dz = light_p[k, 2] + 0.5 * (light_u[k, 2] + light_v[k, 2]) - oz
@@ -123,7 +125,7 @@ def _gather(
             cos_sun = flip * (sun_dir[0] * n0 + sun_dir[1] * n1 + sun_dir[2] * n2)
             if sun_rad[0] > 0 and cos_sun > 0:
                 lit = 0.0
-                for j in range(9):  # the same directions everywhere: even penumbrae
+                for j in range(9):  # the same directions at every node, for even penumbrae
                     ang, rad = 2.4 * j, 0.022 * np.sqrt((j + 0.5) / 9)
                     s0, s1 = rad * np.cos(ang), rad * np.sin(ang)
                     dx = sun_dir[0] - s0 * sun_dir[1]
@@ -185,6 +187,7 @@ def _bounce(
     light: Any,
     out: Any,
 ) -> None:
+    """One diffuse bounce: ``out`` gets the mean light that the stored hits reflect."""
     n = hit.shape[1]
     for i in range(first, last):
         s0, s1, s2 = 0.0, 0.0, 0.0
@@ -198,8 +201,8 @@ def _bounce(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _mend(base: int, nu: int, nv: int, inside: Any, light: Any, rounds: int) -> None:
-    """Nodes inside objects take the mean of their lit neighbours in the grid, from outside in."""
+def _fill_inside(base: int, nu: int, nv: int, inside: Any, light: Any, rounds: int) -> None:
+    """Give grid nodes inside objects the mean of their lit neighbours, from the outside in."""
     done = np.empty(nu * nv, np.bool_)
     for k in range(nu * nv):
         done[k] = not inside[base + k]
@@ -233,7 +236,7 @@ def _mend(base: int, nu: int, nv: int, inside: Any, light: Any, rounds: int) -> 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _smooth(base: int, nu: int, nv: int, light: Any) -> None:
-    """One binomial pass over a grid: takes the sampling noise out of indirect light."""
+    """One binomial filter pass over a grid, against sampling noise in the indirect light."""
     tmp = light[base : base + nu * nv].copy()
     for m in range(3):
         for y in range(nv):
@@ -260,7 +263,7 @@ def bake(geometry: Geometry, surfaces: Surfaces, threads: int) -> NDArray[np.flo
     lights = mesh.lights
     pack = [np.array([getattr(L, key) for L in lights]).reshape(-1, 3) for key in ("p0", "eu", "ev", "radiance")]
     sun_dir, sun_rad = mesh.sun if mesh.sun is not None else (np.array([0.0, 0.0, 1.0]), np.zeros(3))
-    # 1: emits (its back side counts as nothing); 2: the outdoors, the sun shines through; 3: two-sided.
+    # 1: emits; 2: the view outdoors, through which the sun shines; 3: two-sided, so that back sides are not inside.
     glow = np.any(surfaces.paint[:, GLOW : GLOW + 3] > 0, axis=1)
     outdoors = np.array([mat.texture.startswith("outdoors") for mat in mesh.materials])[mesh.material]
     kind = np.where(outdoors, 2, np.where(mesh.two_sided, 3, glow.astype(np.int32))).astype(np.int32)
@@ -295,12 +298,12 @@ def bake(geometry: Geometry, surfaces: Surfaces, threads: int) -> NDArray[np.flo
             inside,
         )
 
-    grids = np.unique(mesh.nodes[mesh.shape != 1], axis=0)
+    grids = np.unique(mesh.nodes[mesh.shape != TRIANGLE], axis=0)
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(gather, spans))
         for base, nu, nv in grids:
             if inside[base : base + nu * nv].any():
-                _mend(base, nu, nv, inside, direct, 12)
+                _fill_inside(base, nu, nv, inside, direct, 12)
         light = direct.copy()
         for _ in range(BOUNCES):
             indirect = np.zeros_like(direct)
@@ -317,7 +320,7 @@ def bake(geometry: Geometry, surfaces: Surfaces, threads: int) -> NDArray[np.flo
             list(pool.map(lambda s, a=args: _bounce(s[0], s[1], *a), spans))
             for base, nu, nv in grids:
                 if inside[base : base + nu * nv].any():
-                    _mend(base, nu, nv, inside, indirect, 12)
+                    _fill_inside(base, nu, nv, inside, indirect, 12)
                 for _ in range(min(8, min(nu, nv) // 3)):
                     _smooth(base, nu, nv, indirect)
             light = direct + indirect

@@ -1,4 +1,4 @@
-"""Rendered rooms on disk: keyed by everything they depend on, whole or not there, shared by concurrent processes."""
+"""Rendered rooms on disk. A folder is keyed by all it depends on, complete or absent, and shared between processes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 
 from panobench.writing import writing
 
-#: Raised when the pictures change on purpose; part of every provenance record.
+#: Goes up when the pictures change on purpose; part of every provenance record.
 GENERATOR_VERSION = 1
 
 
@@ -29,7 +29,7 @@ def cache_root() -> Path:
 
 @lru_cache(maxsize=1)
 def source_digest() -> str:
-    """Digest of the generator's own source, so that a changed generator never serves stale pictures."""
+    """Digest of the generator's own source: a changed generator never serves the pictures of the old one."""
     digest = hashlib.sha256(str(GENERATOR_VERSION).encode())
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.read_bytes())
@@ -37,14 +37,14 @@ def source_digest() -> str:
 
 
 def key_of(values: dict[str, Any]) -> str:
-    """Short digest of plain values and the generator's source."""
+    """Short digest of plain values and of the generator's source."""
     text = json.dumps(values, sort_keys=True, default=str) + source_digest()
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold an advisory lock on ``path`` where the platform has one. Work stays correct without: see ``publish``."""
+    """Hold an advisory lock on ``path`` where the platform has one; ``publish`` is correct without it, too."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "ab") as handle:
         try:
@@ -57,9 +57,9 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def publish(folder: Path, fill: Callable[[Path], None]) -> None:
-    """Make ``folder`` by ``fill(temporary folder)`` and a rename; if it is there already, nothing happens.
+    """Make ``folder`` by ``fill(temporary folder)`` and a rename; do nothing if it exists.
 
-    Two processes at once: the lock makes the second wait, and without locks the loser's copy is dropped.
+    If two processes do so at once, the second waits for the lock; without locks the later copy is discarded.
     Raises OutputError when the cache cannot be written.
     """
     if folder.is_dir():

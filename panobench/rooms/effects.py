@@ -1,4 +1,4 @@
-"""Camera and lens troubles laid over the rendered frames: exposure, occluder, black frames, motion blur."""
+"""Disturbances of the rendered frames: exposure, rolling shutter, occluder, black frames, motion blur."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def gains(options: RoomOptions, n: int) -> Array:
 
 
 def row_gain(options: RoomOptions, index: int, height: int) -> NDArray[np.float32] | None:
-    """(H, 1, 1) display factor of a rolling shutter under swinging exposure, or None."""
+    """(H, 1, 1) factor on display-linear rows: a rolling shutter under changing exposure; None if there is none."""
     if not options.rolling:
         return None
     slant = 0.3 * options.rolling * np.cos(2 * np.pi * index / 24.0)
@@ -36,14 +36,14 @@ def row_gain(options: RoomOptions, index: int, height: int) -> NDArray[np.float3
 
 
 def is_black(options: RoomOptions, index: int, n: int) -> bool:
-    """Whether the frame is one of the black ones."""
+    """Whether frame ``index`` of ``n`` is black."""
     return n // 2 <= index < n // 2 + options.black
 
 
 def occluder(options: RoomOptions, index: int, rays: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-    """Opacity (H, W) and display-linear colour (H, W, 3) of the thing before the lens, or None.
+    """Opacity (H, W) and display-linear colour (H, W, 3) of the occluder, or None if there is none.
 
-    A cap of the sphere with a wavy rim, covering the share asked for, that wanders round the camera.
+    It is a cap of the sphere with a wavy rim that moves round the camera. rays: (H, W, 3) unit rays, camera frame.
     """
     if not options.occluder:
         return None
@@ -63,7 +63,10 @@ def occluder(options: RoomOptions, index: int, rays: Array) -> tuple[NDArray[np.
 
 
 def shutter_poses(T_wc: Array, index: int, shutter: float, count: int) -> Array:
-    """Poses (count, 4, 4) over ``shutter`` frame times centred on a frame, on geodesics to its neighbours."""
+    """Poses (count, 4, 4) while the shutter is open, on the SE(3) geodesics to the neighbouring frames.
+
+    shutter: share of the frame time for which it is open, centred on frame ``index`` of T_wc (N, 4, 4).
+    """
     here = invert_pose(T_wc[index])
     ahead = se3_log(here @ T_wc[index + 1]) if index + 1 < len(T_wc) else None
     behind = se3_log(here @ T_wc[index - 1]) if index > 0 else None
@@ -77,13 +80,16 @@ def shutter_poses(T_wc: Array, index: int, shutter: float, count: int) -> Array:
 
 
 def median_flow(camera: Camera, depth: NDArray[np.float32], T_a: Array, T_b: Array) -> float:
-    """Median image motion in pixels of the points of frame a (its depth (H, W)) seen from frame b."""
+    """Median image motion, in pixels, between frames a and b of the points in frame a.
+
+    depth: (H, W) radial, of frame a. T_a, T_b: (4, 4) camera-to-world.
+    """
     points = camera.rays() * depth[..., None]
     moved = points @ T_a[:3, :3].T + T_a[:3, 3]
     local = (moved - T_b[:3, 3]) @ T_b[:3, :3]
     uv, valid = camera.project(local)
     d = uv - camera.pixel_grid()
-    if camera.kind == "erp":  # across the seam
+    if camera.kind == "erp":  # the shorter way across the seam
         d[..., 0] = (d[..., 0] + camera.width / 2) % camera.width - camera.width / 2
     size = np.linalg.norm(d, axis=-1)[valid & np.isfinite(depth)]
     return float(np.median(size)) if len(size) else 0.0

@@ -1,6 +1,6 @@
-"""What belongs to the building: walls with openings, doors, windows, skirting, lamps, radiators, curtains, pictures.
+"""Parts of the building: walls with openings, doors, windows, skirting, lamps, radiators, curtains, pictures.
 
-Wall frame: x along the wall, y = 0 its surface, +y into the room, z up. Seen from inside, +x points left.
+Wall frame: x runs along the wall, y = 0 is its surface, +y points into the room, z up. Seen from inside, +x is left.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from panobench.rooms.mesh import Builder, Material
+from panobench.rooms.builder import Builder
+from panobench.rooms.mesh import Material
 
 WHITE = Material("smooth:232,230,224", 2.5)
 FRAME = Material("smooth:238,237,233", 1.5)
@@ -24,8 +25,10 @@ CABLE = Material("", tint=(0.02, 0.02, 0.022))
 
 @dataclass(frozen=True)
 class Opening:
-    """A hole in a wall, wall coordinates in metres; kind "window", "door" (closed), "doorway" (open) or "passage"
-    (the doorway seen from the room on its other side, which builds no reveals).
+    """A hole in a wall, in wall coordinates, metres.
+
+    kind:  "window", "door" (closed), "doorway" (open), or "passage": a doorway whose reveals the other room builds.
+    depth: of the reveal; 0: the room's own.
     """
 
     kind: str
@@ -33,7 +36,7 @@ class Opening:
     x1: float
     z0: float
     z1: float
-    depth: float = 0.0  # of the reveal; 0: the room's
+    depth: float = 0.0
 
 
 def wall(
@@ -44,7 +47,7 @@ def wall(
     openings: list[Opening],
     depth: float,
 ) -> None:
-    """Surface with holes and the holes' reveals, ``depth`` deep."""
+    """The wall's surface with holes, and the reveals of the holes, ``depth`` deep."""
     group = b.new_group()
     cuts = sorted({0.0, length, *(o.x0 for o in openings), *(o.x1 for o in openings)})
 
@@ -95,7 +98,7 @@ def skirting(
 
 
 def casing(b: Builder, o: Opening, material: Material = FRAME, width: float = 0.06) -> None:
-    """Trim round a door or doorway."""
+    """The trim round a door or doorway."""
     t = 0.018
     b.box((o.x0 - width, 0, 0), (o.x0, t, o.z1), material, skip="yz")
     b.box((o.x1, 0, 0), (o.x1 + width, t, o.z1), material, skip="yz")
@@ -107,7 +110,7 @@ def door(b: Builder, o: Opening, material: Material) -> None:
     casing(b, o)
     y = -0.03
     w, h = o.x1 - o.x0, o.z1
-    b.quad((o.x1, y, 0), (-w, 0, 0), (0, 0, h), material, turn=True)
+    b.quad((o.x1, y, 0), (-w, 0, 0), (0, 0, h), material, along_v=True)
     for x in (o.x0, o.x1):
         b.quad((x, y, 0), (0, -y, 0), (0, 0, h), FRAME) if x == o.x0 else b.quad((x, 0, 0), (0, y, 0), (0, 0, h), FRAME)
     b.quad((o.x0, y, h), (0, -y, 0), (w, 0, 0), FRAME)
@@ -130,9 +133,9 @@ def door(b: Builder, o: Opening, material: Material) -> None:
 
 
 def backdrop(b: Builder, centre: float, width: float, sky: float, view: str) -> None:
-    """What is seen through a wall's windows: a lit picture 3.2 m behind it.
+    """What a wall's windows show: a lit picture 3.2 m behind it.
 
-    It shines at 40% of ``sky``, the radiance that lights the room: a camera's highlights are compressed too.
+    It shines at 40% of ``sky``, the radiance that lights the room, because cameras compress highlights too.
     """
     shown = 0.4 * sky
     glow = Material(view, 0.0, emission=(shown, shown, shown))
@@ -141,7 +144,7 @@ def backdrop(b: Builder, centre: float, width: float, sky: float, view: str) -> 
 
 
 def window(b: Builder, o: Opening, depth: float, sky: float, panes: int = 2) -> None:
-    """Frame, bars, sill and the light coming in (``sky``: radiance outside)."""
+    """Frame, bars, sill, and the light that comes in. sky: radiance outside."""
     f, t, y = 0.055, 0.05, -depth * 0.6
     w, h = o.x1 - o.x0, o.z1 - o.z0
     b.box((o.x0, y - t / 2, o.z0), (o.x0 + f, y + t / 2, o.z1), FRAME, skip="xzZ")
@@ -182,7 +185,7 @@ def window(b: Builder, o: Opening, depth: float, sky: float, panes: int = 2) -> 
 def curtains(b: Builder, o: Opening, material: Material, share: float = 0.24) -> None:
     """A rod and a pair of gathered curtains down to near the floor."""
     top, y = o.z1 + 0.16, 0.19
-    b.tube([(o.x0 - 0.4, y, top), (o.x1 + 0.4, y, top)], 0.012, BRASS, thin=False)
+    b.tube([(o.x0 - 0.4, y, top), (o.x1 + 0.4, y, top)], 0.012, BRASS)
     w = (o.x1 - o.x0) * share + 0.26
     for x0, sign in ((o.x0 - 0.3, 1.0), (o.x1 + 0.3, -1.0)):
         n = 41
@@ -200,7 +203,7 @@ def curtains(b: Builder, o: Opening, material: Material, share: float = 0.24) ->
 
 
 def radiator(b: Builder, x: float, width: float, height: float = 0.5, z: float = 0.13) -> None:
-    """Ribbed panel under a window."""
+    """A ribbed radiator under a window."""
     n = int(width / 0.06)
     paint = Material("smooth:226,226,222", 1.0)
     for k in range(n):
@@ -262,7 +265,7 @@ def picture(
 
 
 def ceiling_panel(b: Builder, x: float, y: float, z: float, w: float, d: float, power: float) -> None:
-    """A flat lamp under the ceiling at height z; ``power`` is its radiance."""
+    """A flat lamp under the ceiling at height z. power: its radiance."""
     t = 0.05
     b.box(
         (x - w / 2 - 0.03, y - d / 2 - 0.03, z - t),
@@ -286,7 +289,7 @@ def pendant(
     power: float,
     shade: Material,
 ) -> None:
-    """A shade hanging on a cable, lit from inside."""
+    """A lampshade on a cable, lit from inside. power: radiance of the bulb."""
     z = ceiling - drop
     b.tube([(x, y, ceiling), (x, y, z + radius * 0.7)], 0.005, CABLE)
     b.cylinder((x, y, ceiling - 0.03), 0.05, 0.03, STEEL, caps="z")

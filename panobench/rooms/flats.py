@@ -1,4 +1,4 @@
-"""Several rooms in a ring, joined by open doorways: 2 x 2 rooms and a walk that goes round through all of them."""
+"""Plans of flats: 2 x 2 rooms joined in a ring by open doorways, and a walk round through all of them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from panobench.rooms import fixtures as fx
 from panobench.rooms import furniture as fu
 from panobench.rooms import household as hh
 from panobench.rooms import small
+from panobench.rooms.builder import Builder
 from panobench.rooms.fixtures import Opening
-from panobench.rooms.mesh import Builder, Material
+from panobench.rooms.mesh import Material
 from panobench.rooms.plans import Plan, pick, place, unit
 from panobench.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, hang_pictures
 
-WALL = 0.16  # thickness between rooms
-DOORWAY = 1.05
+WALL = 0.16  # thickness between rooms, metres
+DOORWAY = 1.05  # width, metres
 
 
 def _living(b: Builder, room: Room, outer: tuple[str, str], wood: Material) -> None:
@@ -91,13 +92,13 @@ def _study(b: Builder, room: Room, outer: tuple[str, str], wood: Material) -> No
 
 
 def _flat(rng: np.random.Generator, low: float, high: float) -> Plan:
-    """Four rooms between ``low`` and ``high`` metres wide round a crossing of walls at (X, Y)."""
+    """Four rooms, between ``low`` and ``high`` metres wide, round a crossing of walls at (X, Y)."""
     b = Builder(rng, node_spacing=0.1)
     xs, ys = rng.uniform(low, high, 2), rng.uniform(low, high, 2)
     h = 2.6
     gap = WALL / 2
     X, Y = xs[0], ys[0]
-    # Where the doorways are, along the walls between west/east (at south and north) and south/north (west and east).
+    # Doorways: y of those in the wall between west and east, x of those in the wall between south and north.
     south, north = Y * rng.uniform(0.42, 0.52), Y + ys[1] * rng.uniform(0.48, 0.58)
     west, east = X * rng.uniform(0.42, 0.52), X + xs[1] * rng.uniform(0.48, 0.58)
     spans = {
@@ -188,10 +189,10 @@ def _flat(rng: np.random.Generator, low: float, high: float) -> Plan:
 
 
 def large(rng: np.random.Generator) -> Plan:
-    """Four big rooms."""
+    """Four large rooms."""
     return _flat(rng, 4.6, 5.4)
 
 
 def loop(rng: np.random.Generator) -> Plan:
-    """Four middling rooms for laps."""
+    """Four rooms of medium size, for a camera that goes round more than once."""
     return _flat(rng, 3.7, 4.3)

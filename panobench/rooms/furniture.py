@@ -1,12 +1,13 @@
-"""Furniture against or away from walls. Local frame: back at y = 0, front +y, x centred, on the floor z = 0."""
+"""Furniture. Local frame: the back at y = 0, the front towards +y, x centred, the floor at z = 0; metres."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from panobench.rooms import small
+from panobench.rooms.builder import Builder
 from panobench.rooms.fixtures import BLACK, BRASS, CABLE, STEEL
-from panobench.rooms.mesh import Builder, Material
+from panobench.rooms.mesh import Material
 
 
 def legs(
@@ -26,7 +27,7 @@ def legs(
 
 
 def table(b: Builder, w: float, d: float, h: float, m: Material, t: float = 0.035) -> None:
-    """Top, apron and legs; spans y 0..d."""
+    """A table: top, apron and legs; y from 0 to d."""
     b.box((-w / 2, 0, h - t), (w / 2, d, h), m, grain=0)
     legs(b, w, d, h - t, 0.06, m, inset=0.03)
     a = 0.07
@@ -69,7 +70,7 @@ def office_chair(b: Builder, cover: Material) -> None:
     for k in range(5):
         a = 2 * np.pi * k / 5 + 0.3
         c, s = np.cos(a), np.sin(a)
-        b.tube([(0, 0.25, 0.1), (0.28 * c, 0.25 + 0.28 * s, 0.06)], 0.02, BLACK, thin=False)
+        b.tube([(0, 0.25, 0.1), (0.28 * c, 0.25 + 0.28 * s, 0.06)], 0.02, BLACK)
         b.blob(
             (0.3 * c, 0.25 + 0.3 * s, 0.03),
             (0.025, 0.025, 0.03),
@@ -82,7 +83,7 @@ def office_chair(b: Builder, cover: Material) -> None:
     b.blob((0, 0.25, 0.47), (0.25, 0.25, 0.055), cover, square=0.4, rows=7, sides=20)
     with b.at(0, 0.0, 0.86):
         b.blob((0, 0, 0), (0.22, 0.045, 0.28), cover, square=0.45, rows=9, sides=20)
-    b.tube([(0, 0.2, 0.44), (0, -0.06, 0.5), (0, -0.06, 0.75)], 0.018, BLACK, thin=False)
+    b.tube([(0, 0.2, 0.44), (0, -0.06, 0.5), (0, -0.06, 0.75)], 0.018, BLACK)
     for x in (-0.28, 0.28):
         b.tube([(x * 0.8, 0.25, 0.45), (x, 0.25, 0.5), (x, 0.22, 0.66)], 0.014, BLACK)
         b.box((x - 0.03, 0.1, 0.66), (x + 0.03, 0.36, 0.685), BLACK)
@@ -101,7 +102,7 @@ def bookshelf(
     t = 0.025
     b.box((-w / 2, 0, 0), (-w / 2 + t, d, h), m, skip="z")
     b.box((w / 2 - t, 0, 0), (w / 2, d, h), m, skip="z")
-    b.quad((w / 2 - t, 0.012, 0), (2 * t - w, 0, 0), (0, 0, h), m, turn=True)
+    b.quad((w / 2 - t, 0.012, 0), (2 * t - w, 0, 0), (0, 0, h), m, along_v=True)
     pitch = (h - 0.08) / shelves
     for k in range(shelves + 1):
         z = 0.06 + k * pitch
@@ -187,7 +188,7 @@ def desk(b: Builder, w: float, d: float, m: Material, lamp: bool = True) -> None
         skip="Z",
         grain=0,
     )
-    # Screen and what hangs off it.
+    # The screen and its cables.
     b.box((-0.3, 0.18, h + 0.12), (0.3, 0.21, h + 0.48), BLACK)
     b.quad(
         (0.285, 0.211, h + 0.135),
@@ -236,7 +237,7 @@ def desk(b: Builder, w: float, d: float, m: Material, lamp: bool = True) -> None
 
 
 def sofa(b: Builder, w: float, cover: Material, cushions: list[Material]) -> None:
-    """Seats, arms, back and loose cushions; 0.9 m deep."""
+    """A sofa: seats, arms, back and loose cushions; 0.9 m deep."""
     d = 0.88
     with b.at(0, 0.05):
         b.box((-w / 2 + 0.05, 0.05, 0.1), (w / 2 - 0.05, d - 0.04, 0.3), cover, skip="zZ")

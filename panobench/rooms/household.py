@@ -1,4 +1,4 @@
-"""More furniture: bedroom, kitchen, dining and living room pieces. Local frame as in ``furniture``."""
+"""Furniture for bedroom, kitchen, dining and living room. Local frame as in ``furniture``."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from panobench.rooms import furniture as fu
 from panobench.rooms import small
+from panobench.rooms.builder import Builder
 from panobench.rooms.fixtures import BLACK, BRASS, CABLE, STEEL
-from panobench.rooms.mesh import Builder, Material
+from panobench.rooms.mesh import DISC, Material
 
 LINEN = Material("fabric:226,224,216", 0.8)
 
@@ -25,7 +26,7 @@ def bed(b: Builder, w: float, frame: Material, cover: Material) -> None:
 
 
 def wardrobe(b: Builder, w: float, h: float, m: Material, mirror: bool = False) -> None:
-    """Tall doors with long handles; one may be a dull mirror."""
+    """A wardrobe: tall doors with long handles; one may have a dull mirror."""
     d = 0.58
     b.box((-w / 2, 0, 0), (w / 2, d, h), m, skip="yz", grain=2)
     n = max(2, round(w / 0.5))
@@ -41,7 +42,7 @@ def wardrobe(b: Builder, w: float, h: float, m: Material, mirror: bool = False) 
 
 
 def kitchen(b: Builder, w: float, front: Material, top: Material) -> None:
-    """Base units with worktop, sink and hob, tiled splashback, upper cabinets, things on the worktop."""
+    """A kitchen: base units with worktop, sink and hob, tiled splashback, upper cabinets, objects on the worktop."""
     d, h = 0.6, 0.9
     b.box((-w / 2, 0, 0.1), (w / 2, d, h - 0.035), front, skip="yZ")
     b.box((-w / 2, 0.04, 0), (w / 2, d - 0.06, 0.1), BLACK, skip="yzZ")
@@ -67,7 +68,7 @@ def kitchen(b: Builder, w: float, front: Material, top: Material) -> None:
     sx = -w / 2 + dw * (n // 2 + 0.5)
     b.box((sx - 0.26, 0.1, h), (sx + 0.26, 0.52, h + 0.006), STEEL, skip="z")
     b.quad((sx - 0.2, 0.15, h + 0.008), (0.4, 0, 0), (0, 0.3, 0), BLACK)
-    b.tube([(sx, 0.12, h), (sx, 0.12, h + 0.26), (sx, 0.2, h + 0.31), (sx, 0.28, h + 0.25)], 0.012, STEEL, thin=False)
+    b.tube([(sx, 0.12, h), (sx, 0.12, h + 0.26), (sx, 0.2, h + 0.31), (sx, 0.28, h + 0.25)], 0.012, STEEL)
     hx = -w / 2 + dw * 0.9
     b.box((hx - 0.28, 0.06, h), (hx + 0.28, 0.54, h + 0.008), BLACK, skip="z")
     with b.at(hx + 0.1, 0.24, h + 0.008):
@@ -79,7 +80,7 @@ def kitchen(b: Builder, w: float, front: Material, top: Material) -> None:
 
 
 def fridge(b: Builder) -> None:
-    """Fridge-freezer with magnets and notes."""
+    """A fridge-freezer with notes on it."""
     body = Material("smooth:222,224,226", 1.5)
     b.box((-0.3, 0.02, 0.03), (0.3, 0.62, 1.8), body, skip="yz")
     b.box((-0.298, 0.62, 0.04), (0.298, 0.66, 0.62), body, skip="y")
@@ -92,7 +93,7 @@ def fridge(b: Builder) -> None:
 
 
 def dining(b: Builder, w: float, d: float, wood: Material, seat: Material, chairs: int = 4) -> None:
-    """A table centred at the origin with chairs round it and things on it."""
+    """A table centred at the origin with chairs round it and objects on it."""
     with b.at(0, -d / 2):
         fu.table(b, w, d, 0.75, wood)
     spots = [
@@ -184,19 +185,6 @@ def boxes(b: Builder, count: int) -> None:
         tops.append((x, z + float(s[2]), 0.0))
 
 
-def wall_shelf(b: Builder, x: float, z: float, w: float, wood: Material) -> None:
-    """A board on the wall with things on it (wall frame)."""
-    b.box((x - w / 2, 0, z), (x + w / 2, 0.2, z + 0.025), wood, skip="y", grain=0)
-    for q in (x - w / 2 + 0.12, x + w / 2 - 0.12):
-        b.tube([(q, 0.01, z - 0.12), (q, 0.01, z), (q, 0.16, z)], 0.006, BLACK)
-    if b.rng.uniform() < 0.5:
-        small.books(b, x - w / 2 + 0.05, x + w * 0.1, 0.17, z + 0.025, 0.32, depth=0.15)
-    else:
-        for q in np.arange(x - w / 2 + 0.12, x + w * 0.1, 0.2):
-            small.knick_knack(b, q, 0.1, z + 0.025)
-    small.knick_knack(b, x + w / 2 - 0.15, 0.1, z + 0.025)
-
-
 def clock(b: Builder, x: float, z: float, r: float = 0.16) -> None:
     """A round wall clock (wall frame)."""
     face = Material("smooth:240,238,232", 0.5)
@@ -207,7 +195,7 @@ def clock(b: Builder, x: float, z: float, r: float = 0.16) -> None:
         for q, y in ((r, 0.0), (r, 0.04), (r * 0.9, 0.04), (r * 0.88, 0.025))
     ]
     b.grid(np.array(ring), BLACK, wrap=(False, True))
-    b.quad((x + r, 0.022, z - r), (-2 * r, 0, 0), (0, 0, 2 * r), face, shape=2)
+    b.quad((x + r, 0.022, z - r), (-2 * r, 0, 0), (0, 0, 2 * r), face, shape=DISC)
     for k in range(12):
         t = np.pi * k / 6
         p = np.array([x + 0.74 * r * np.sin(t), 0.024, z + 0.74 * r * np.cos(t)])
@@ -228,7 +216,7 @@ def coat_rack(b: Builder, x: float, coats: list[Material]) -> None:
 
 
 def floor_cable(b: Builder, points: np.ndarray) -> None:
-    """A cable lying about on the floor through (x, y) points, with a power strip at its end."""
+    """A cable on the floor through (x, y) points (N, 2), with a power strip at its end."""
     t = np.linspace(0, len(points) - 1, 8 * len(points))
     k = np.arange(len(points))
     x, y = np.interp(t, k, points[:, 0]), np.interp(t, k, points[:, 1])

@@ -1,4 +1,4 @@
-"""The kinds of rooms that come built in: a plan and a way of moving for each name."""
+"""The built-in kinds of rooms: a plan and a camera motion for each name."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from panobench.rooms.plans import Plan
 
 @dataclass(frozen=True)
 class Kind:
-    """summary: one line for people. plan: builds the room. motion: how the camera goes through it."""
+    """summary: one line for `panobench list`. plan: builds the room. motion: how the camera moves through it."""
 
     summary: str
     plan: Callable[[np.random.Generator], Plan]
@@ -36,9 +36,9 @@ KINDS: dict[str, Kind] = {
         Motion(step=0.042, swing=0.75, tilt=0.24, bounce=0.1, period=56.0),
     ),
     "loop": Kind(
-        "1000 frames, two laps through a four-room flat",
+        "1000 frames, two rounds through a four-room flat",
         flats.loop,
-        Motion(frames=1000, laps=2.0, swing=0.8, yaw_rate=4 * 3.14159265 / 1000, period=83.0),
+        Motion(frames=1000, rounds=2.0, swing=0.8, yaw_rate=4 * 3.14159265 / 1000, period=83.0),
     ),
     "tiny": Kind("small bare room for tests", plans.tiny, Motion(frames=40, step=0.035)),
 }

@@ -1,4 +1,4 @@
-"""Smooth camera trajectories along a walk: C2 position, bounded turning, checked against the furniture."""
+"""Smooth camera trajectories along a closed walk: C2 positions, bounded rotation, clear of the furniture."""
 
 from __future__ import annotations
 
@@ -17,10 +17,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Motion:
-    """How the camera moves: metres per frame, mean yaw per frame and swing amplitudes, radians.
+    """How the camera moves.
 
-    yaw_rate: steady turn per frame. swing: amplitude of slow yaw swings. tilt: amplitude of pitch and roll.
-    period: frames of a swing. bounce: amplitude up and down, metres. laps: times round the walk, instead of ``step``.
+    step:     metres per frame, on average.
+    yaw_rate: steady yaw per frame, radians. swing: amplitude of a slow yaw oscillation, radians.
+    tilt:     amplitude of pitch and roll, radians. bounce: amplitude of the height, metres.
+    frames:   length of the sequence. rate: frames per second. period: frames of one oscillation.
+    rounds:   number of rounds of the walk, which sets the step instead of ``step``; None: ``step`` does.
     """
 
     step: float = 0.037
@@ -30,12 +33,12 @@ class Motion:
     frames: int = 120
     rate: float = 15.0
     period: float = 70.0
-    laps: float | None = None
+    rounds: float | None = None
     bounce: float = 0.03
 
 
 def closed_spline(walk: Array) -> tuple[CubicSpline, float]:
-    """Periodic spline through the corner points, by arc length; and its length in metres."""
+    """Periodic spline through the corner points (N, 3), by arc length, and its length in metres."""
     p = np.concatenate([walk, walk[:1]])
     for _ in range(3):
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
@@ -47,9 +50,9 @@ def closed_spline(walk: Array) -> tuple[CubicSpline, float]:
 
 
 def rotations(yaw: Array, pitch: Array, roll: Array) -> Array:
-    """Camera-to-world rotations (N, 3, 3): world z up, camera x right, y down, z forward; yaw 0 looks along +x.
+    """Camera-to-world rotations (N, 3, 3): world z up; camera x right, y down, z forward; yaw 0 looks along +x.
 
-    Positive yaw turns left, positive pitch looks up, positive roll leans the camera's right side down.
+    Positive yaw turns left, positive pitch looks up, positive roll lowers the camera's right side. Radians.
     """
     cy, sy = np.cos(yaw), np.sin(yaw)
     cp, sp = np.cos(pitch), np.sin(pitch)
@@ -62,13 +65,13 @@ def rotations(yaw: Array, pitch: Array, roll: Array) -> Array:
 
 
 def trajectory(walk: Array, motion: Motion, rng: np.random.Generator) -> Array:
-    """Camera-to-world poses (N, 4, 4)."""
+    """Camera-to-world poses (N, 4, 4) along a closed walk (M, 3), with random phases and a random start."""
     spline, length = closed_spline(walk)
     n = motion.frames
     i = np.arange(n)
-    step = motion.step if motion.laps is None else motion.laps * length / n
+    step = motion.step if motion.rounds is None else motion.rounds * length / n
     phase = rng.uniform(0, 2 * np.pi, 8)
-    # Speed varies by a fifth, never to a halt.
+    # The speed varies by a fifth; the camera never stops.
     s = step * (
         i + 0.2 * motion.period / (2 * np.pi) * (np.sin(2 * np.pi * i / motion.period + phase[0]) - np.sin(phase[0]))
     )
@@ -95,14 +98,14 @@ def clear_trajectory(
     rng: np.random.Generator,
     clearance: float,
 ) -> Array:
-    """A trajectory of ``frames`` poses that keeps ``clearance`` metres from everything.
+    """Camera-to-world poses (frames, 4, 4) that keep ``clearance`` metres from everything.
 
-    Tries other phases and heights, then tighter walks. Raises RuntimeError when nothing fits (a fault of the plan).
+    Tries other phases and heights, then smaller walks. Raises RuntimeError when none is clear: a bug in the plan.
     """
     motion = replace(motion, frames=frames)
     centre = walk.mean(axis=0)
     for attempt in range(60):
-        shrink = 1.0 if motion.laps is not None or attempt < 10 else 0.985 ** (attempt - 9)
+        shrink = 1.0 if motion.rounds is not None or attempt < 10 else 0.985 ** (attempt - 9)
         lift = 0.0 if attempt % 3 == 0 else rng.uniform(-0.1, 0.15)
         T = trajectory(centre + (walk - centre) * [shrink, shrink, 1.0] + [0, 0, lift], motion, rng)
         if clearances(mesh.p0, mesh.eu, mesh.ev, np.ascontiguousarray(T[:, :3, 3])).min() >= clearance:
@@ -111,7 +114,7 @@ def clear_trajectory(
 
 
 def novel_poses(T_wc: Array, mesh: Mesh, rng: np.random.Generator, count: int, clearance: float) -> Array:
-    """Poses (count, 4, 4) 10 to 45 cm off the trajectory, any yaw, pitch and roll up to 25 degrees."""
+    """Poses (count, 4, 4) 10 to 45 cm away from the trajectory, with any yaw, and pitch and roll up to 25 degrees."""
     found: list[Array] = []
     while len(found) < count:
         k = int((len(found) + rng.uniform()) / count * len(T_wc))

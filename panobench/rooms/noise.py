@@ -1,4 +1,4 @@
-"""Tileable random fields for the textures. Natural surfaces have power spectra near 1/f^2 in the plane."""
+"""Tileable random fields for textures, and colour conversions. Natural surfaces have power spectra near 1 / f^2."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def fractal(
     low: float = 1.0,
     high: float = 1e9,
 ) -> Field:
-    """Gaussian field (H, W), mean 0, deviation 1, amplitude 1/f^beta between ``low`` and ``high`` cycles.
+    """Gaussian field (H, W) of mean 0 and deviation 1, with amplitude 1 / f^beta.
 
-    ``stretch`` > 1 draws it out along x (wood fibres).
+    low, high: band limits in cycles per image. stretch: above 1 the field is drawn out along x, as wood fibres are.
     """
     h, w = (size, size) if isinstance(size, int) else size
     fy = np.fft.fftfreq(h)[:, None] * h
@@ -36,7 +36,10 @@ def fractal(
 
 
 def cells(rng: np.random.Generator, size: int, count: int) -> tuple[Field, Field, NDArray[np.int32]]:
-    """Tileable Voronoi cells of ``count`` points: distances to the nearest two (in tiles) and the nearest's number."""
+    """Tileable Voronoi cells of ``count`` points: distances to the nearest and second point, and the nearest's index.
+
+    All are (size, size); distances in units of the image.
+    """
     from scipy.spatial import cKDTree
 
     p = rng.uniform(0, 1, (count, 2))
@@ -49,19 +52,19 @@ def cells(rng: np.random.Generator, size: int, count: int) -> tuple[Field, Field
 
 
 def smoothstep(a: float, b: float, x: Field) -> Field:
-    """0 below a, 1 above b, smooth between."""
+    """0 below a, 1 above b, and a cubic between."""
     t = np.clip((x - a) / (b - a), 0.0, 1.0)
     return np.asarray(t * t * (3 - 2 * t), dtype=np.float32)
 
 
 def linear(r: float, g: float, b: float) -> Field:
-    """sRGB colour in 0..255 -> linear (3,)."""
+    """Linear RGB (3,) of an sRGB colour in 0..255 (IEC 61966-2-1)."""
     c = np.asarray([r, g, b], dtype=np.float32) / 255.0
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 def ramp(x: Field, *colours: Field) -> Field:
-    """Map a field in 0..1 through evenly spaced colours: (H, W) -> (H, W, 3)."""
+    """Colours (H, W, 3) of a field (H, W) in 0..1, interpolated between evenly spaced ones."""
     n = len(colours) - 1
     t = np.clip(x, 0.0, 1.0) * n
     i = np.minimum(t.astype(np.int32), n - 1)
@@ -71,7 +74,7 @@ def ramp(x: Field, *colours: Field) -> Field:
 
 
 def hsv(h: float, s: float, v: float) -> Field:
-    """HSV (each 0..1, sRGB) -> linear (3,)."""
+    """Linear RGB (3,) of hue, saturation and value (sRGB), each in 0..1."""
     k = (np.array([5.0, 3.0, 1.0]) + h * 6) % 6
     rgb = v - v * s * np.clip(np.minimum(k, 4 - k), 0, 1)
     return linear(*(255 * rgb))

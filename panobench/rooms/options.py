@@ -1,4 +1,4 @@
-"""What can be varied about a room sequence, and the names users type for it: ``room1@7+blur2+noise0.03``."""
+"""Variations of a room sequence, and the names that users type for them: ``room1@7+blur2+noise0.03``."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from panobench.errors import UnknownNameError, UsageError
 
 @dataclass(frozen=True)
 class RoomOptions:
-    """Variations of a room sequence; the defaults are the plain sequence.
+    """Variations of a room sequence; the defaults give the plain sequence.
 
-    seed:      another room of the same kind: layout, colours, textures and path. "@7" in a name.
-    frames:    length of the sequence; None: the room's own. "+frames300".
-    noise:     standard deviation of the sensor noise, in units of full scale. "+noise0.03".
-    blur:      motion blur: median length of the streaks in pixels. "+blur2".
-    exposure:  the camera's gain changes in two smooth steps by this many stops, down then up. "+exposure" (0.7).
-    rolling:   amplitude in stops of an exposure that keeps swinging, slanted over the rows. "+rolling" (0.5).
-    occluder:  share of the sphere hidden by a dark thing that moves before the camera. "+occluder" (0.25).
-    black:     number of black frames, starting at the middle of the sequence. "+black" (20).
+    seed:      chooses another room of the same kind: layout, colours, textures and path. In a name: "@7".
+    frames:    length of the sequence; None: the kind's own. "+frames300".
+    noise:     standard deviation of the sensor noise; full scale is 1. "+noise0.03".
+    blur:      motion blur, as the median length of the streaks in pixels. "+blur2".
+    exposure:  size in stops of two smooth changes of the camera's gain, first down, then up. "+exposure" (0.7).
+    rolling:   amplitude in stops of a gain that follows a sine over time and over the rows. "+rolling" (0.5).
+    occluder:  share of the sphere that a dark object moving before the camera hides. "+occluder" (0.25).
+    black:     number of black frames from the middle of the sequence on. "+black" (20).
+
+    Raises UsageError for a value out of range.
     """
 
     seed: int = 0
@@ -53,7 +55,7 @@ class RoomOptions:
         return asdict(self)
 
 
-#: What a variant without a number means.
+#: The value of a variant that is named without a number.
 _BARE = {
     "blur": 2.0,
     "exposure": 0.7,
@@ -67,9 +69,9 @@ VARIANTS = ("black", "blur", "exposure", "frames", "noise", "occluder", "rolling
 
 
 def parse_name(name: str, base: RoomOptions | None = None) -> tuple[str, RoomOptions]:
-    """ "room1@7+blur2" -> ("room1", options); what the name says wins over ``base``.
+    """Split "room1@7+blur2" into "room1" and its options; what the name says takes precedence over ``base``.
 
-    Raises UnknownNameError for a variant there is none of, UsageError for a number that does not parse or fit.
+    Raises UnknownNameError for an unknown variant, UsageError for a number that does not parse or is out of range.
     """
     head, *parts = name.split("+")
     kind, at, seed = head.partition("@")

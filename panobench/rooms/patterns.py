@@ -1,11 +1,9 @@
-"""Surface textures: wood, plaster, brick, tiles, carpet, fabrics. Each: rng -> linear RGB (H, W, 3), tileable.
+"""Surface textures: wood, plaster, brick, tiles, carpet, fabrics. Each function returns tileable linear RGB (H, W, 3).
 
-The grain of wood runs along x. Comments give the scale (metres per repeat) each is drawn for.
+The grain of wood runs along x. Docstrings give the scale, in metres per repeat, for which a texture is drawn.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 
@@ -18,8 +16,6 @@ from panobench.rooms.noise import (
     smoothstep,
 )
 
-Pattern = Callable[[np.random.Generator], Field]
-
 
 def _grid(size: int | tuple[int, int]) -> tuple[Field, Field]:
     h, w = (size, size) if isinstance(size, int) else size
@@ -28,7 +24,7 @@ def _grid(size: int | tuple[int, int]) -> tuple[Field, Field]:
 
 
 def _fibres(rng: np.random.Generator, size: int | tuple[int, int], warp: float = 1.0) -> Field:
-    """Wood figure in about -1..1: growth rings cut at a shallow angle, plus pores."""
+    """The figure of wood, in about -1..1: growth rings cut at a shallow angle, and pores."""
     y, _ = _grid(size)
     slow = fractal(rng, size, beta=2.0, stretch=5.0, high=60)
     rings = (
@@ -39,7 +35,7 @@ def _fibres(rng: np.random.Generator, size: int | tuple[int, int], warp: float =
 
 
 def wood(rng: np.random.Generator, dark: Field, light: Field) -> Field:
-    """1 m per repeat."""
+    """Plain wood; 1 m per repeat."""
     return ramp(0.5 + 0.26 * _fibres(rng, 512), dark, (dark + light) / 2, light)
 
 
@@ -105,7 +101,7 @@ def plaster(rng: np.random.Generator, colour: Field, strength: float = 1.0) -> F
 
 
 def brick(rng: np.random.Generator, base: Field, mortar: Field) -> Field:
-    """1.5 m per repeat: 6 x 20 courses."""
+    """A brick wall of 6 x 20 bricks; 1.5 m per repeat."""
     size, nx, ny = 1024, 6, 20
     y, x = _grid(size)
     x = x + 0.0012 * fractal(rng, size, beta=1.2)
@@ -162,7 +158,7 @@ def fabric(
     second: Field | None = None,
     threads: int = 96,
 ) -> Field:
-    """Woven upholstery; 0.8 m per repeat; with ``second``: a check of two colours."""
+    """Woven upholstery, 0.8 m per repeat; with ``second`` a check of two colours."""
     y, x = _grid(512)
     weave = np.sin(2 * np.pi * threads * x) * np.sin(2 * np.pi * threads * y)
     fold = fractal(rng, 512, beta=1.5, high=60)
@@ -176,7 +172,7 @@ def fabric(
 
 
 def wallpaper(rng: np.random.Generator, ground: Field, figure: Field, style: int = 0) -> Field:
-    """1.2 m per repeat: damask, stripes, or scattered leaves."""
+    """Wallpaper, 1.2 m per repeat. style: 0 damask, 1 stripes, 2 scattered leaves."""
     size = 1024
     y, x = _grid(size)
     if style == 0:
@@ -267,7 +263,7 @@ def leaf(rng: np.random.Generator) -> Field:
 
 
 def macro(rng: np.random.Generator) -> Field:
-    """Slow albedo variation shared by large surfaces, mean 0.5 in every channel; 5 m per repeat."""
+    """Slow variation of the albedo of large surfaces, of mean 0.5 in every channel; 5 m per repeat."""
     v = 0.5 + 0.13 * fractal(rng, 256, beta=1.7, high=80)
     return np.asarray(np.repeat(np.clip(v, 0.05, 0.95)[..., None], 3, axis=-1), dtype=np.float32)
 

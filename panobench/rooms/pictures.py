@@ -1,4 +1,7 @@
-"""Things with a picture on them: paintings, posters, book spines, screens, the view from the window."""
+"""Textures that are pictures: paintings, posters, book spines, screens, the view from the window.
+
+Each function returns linear RGB (H, W, 3).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from panobench.rooms.noise import (
 )
 
 SIZE = 256
-# Book cloth and lettering, sRGB.
+# Colours of book covers and of their lettering, sRGB.
 _CLOTH = [
     (112, 30, 28), (36, 52, 92), (44, 78, 56), (196, 182, 150), (40, 38, 40), (150, 110, 44), (92, 60, 40),
     (60, 96, 104), (170, 84, 40), (206, 204, 196), (84, 40, 70), (120, 124, 120), (176, 48, 44), (70, 92, 140),
@@ -30,7 +33,7 @@ def _canvas(size: int = SIZE) -> tuple[Field, Field]:
 
 
 def landscape(rng: np.random.Generator) -> Field:
-    """Sky, ridges, a lake or meadow."""
+    """A landscape: sky, ridges, a meadow."""
     y, _ = _canvas()
     dusk = rng.uniform() < 0.4
     top, bottom = (linear(40, 50, 95), linear(240, 150, 90)) if dusk else (linear(70, 120, 190), linear(215, 225, 235))
@@ -57,7 +60,7 @@ def _profile(rng: np.random.Generator, beta: float) -> Field:
 
 
 def abstract(rng: np.random.Generator) -> Field:
-    """Voronoi patches and strokes in a small palette."""
+    """An abstract painting: Voronoi patches and strokes in a small palette."""
     _, _, ident = cells(rng, SIZE, int(rng.integers(14, 60)))
     hue = rng.uniform(0, 1)
     palette = np.stack(
@@ -86,7 +89,7 @@ def abstract(rng: np.random.Generator) -> Field:
 
 
 def portrait(rng: np.random.Generator) -> Field:
-    """Soft still life: a few lit round shapes before a dark ground."""
+    """A still life: a few lit round shapes before a dark ground."""
     y, x = _canvas()
     out = ramp(
         0.3 + 0.5 * y + 0.1 * fractal(rng, SIZE, beta=1.4),
@@ -107,7 +110,7 @@ def portrait(rng: np.random.Generator) -> Field:
 
 
 def poster(rng: np.random.Generator) -> Field:
-    """Printed sheet: a heading, lines of text, a chart."""
+    """A printed sheet: a heading, lines of text, a chart."""
     y, x = _canvas()
     out = np.ones((SIZE, SIZE, 3), np.float32) * linear(238, 234, 224)
     out *= (1 + 0.02 * fractal(rng, SIZE, beta=1.2))[..., None]
@@ -129,7 +132,7 @@ def poster(rng: np.random.Generator) -> Field:
 
 
 def spines(rng: np.random.Generator) -> Field:
-    """Eight book spines side by side, standing upright; one book takes an eighth of the width."""
+    """Eight upright book spines side by side, each an eighth of the width."""
     h, w = 256, 256
     out = np.zeros((h, w, 3), np.float32)
     y = ((np.arange(h) + 0.5) / h)[:, None]

@@ -1,4 +1,4 @@
-"""What stands where: a plan takes a random generator and gives a mesh and a walk through it. Office and test room."""
+"""Plans: a function from a random generator to a mesh and a walk through it. The office and the small test room."""
 
 from __future__ import annotations
 
@@ -12,32 +12,33 @@ from panobench.rooms import fixtures as fx
 from panobench.rooms import furniture as fu
 from panobench.rooms import household as hh
 from panobench.rooms import small
+from panobench.rooms.builder import Builder
 from panobench.rooms.fixtures import Opening
-from panobench.rooms.mesh import Builder, Material, Mesh
+from panobench.rooms.mesh import Material, Mesh
 from panobench.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, hang_pictures
 
 
 @dataclass
 class Plan:
-    """A built scene and the way through it: corner points (N, 3) of a closed walk, metres."""
+    """A built scene, and the corner points (N, 3) of a closed walk through it, metres."""
 
     mesh: Mesh
     walk: np.ndarray
 
 
 def pick(rng: np.random.Generator, *choices: str) -> str:
-    """One of the choices."""
+    """One of the choices at random."""
     return choices[int(rng.integers(len(choices)))]
 
 
 def place(b: Builder, y: float, make: Callable[..., None], *args: Any) -> None:
-    """Build something ``y`` metres away from the wall."""
+    """Call ``make`` in a frame ``y`` metres away from the wall."""
     with b.at(0, y):
         make(b, *args)
 
 
 def unit(*v: float) -> np.ndarray:
-    """The vector at length one."""
+    """The unit vector along v."""
     a = np.array(v)
     return a / np.linalg.norm(a)
 

@@ -1,4 +1,4 @@
-"""Frames and depth of a scene for any camera."""
+"""Images and depth of a scene for any camera."""
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ def worker_count() -> int:
 
 @dataclass(frozen=True)
 class RayBundle:
-    """A camera's rays for the kernels: centre rays, derivatives per pixel (H, W, 3) float32 and the tiles' cones."""
+    """A camera's rays for the kernels, in the camera frame; zero where the camera sees nothing.
+
+    rays, exact:   (H, W, 3) unit rays of the pixel centres, float32 and float64.
+    ray_x, ray_y:  (H, W, 3) their derivatives per pixel.
+    coarse, fine:  bounding cones of the tiles, see ``visibility.tile_cones``.
+    """
 
     rays: NDArray[np.float32]
     exact: NDArray[np.float64]
@@ -34,7 +39,7 @@ class RayBundle:
 
 
 def ray_bundle(camera: Camera) -> RayBundle:
-    """Rays of all pixels of ``camera``; pixels without a ray or hidden by its mask get zeros."""
+    """The rays of all pixels of ``camera``."""
     valid = camera.valid_mask()
     exact = np.where(valid[..., None], camera.rays(), 0.0)
     grid = camera.pixel_grid()
@@ -60,14 +65,14 @@ def ray_bundle(camera: Camera) -> RayBundle:
 
 
 def _view(T_wc: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4, 3): rows of the rotation, then the centre."""
+    """(4, 3): rows of the camera-to-world rotation, then the camera centre."""
     return np.ascontiguousarray(np.vstack([T_wc[:3, :3], T_wc[:3, 3]]))
 
 
 def sample_offsets(sub: int) -> NDArray[np.float32]:
-    """(sub^2, 2) places in a pixel, -1/2..1/2.
+    """(sub^2, 2) sample positions in a pixel, -1/2..1/2.
 
-    A sheared grid: no two share a row or a column, so that edges along either get sub^2 grey levels.
+    The grid is sheared: no two samples share a row or a column, so that edges along either have sub^2 grey levels.
     """
     a, b = np.meshgrid(np.arange(sub), np.arange(sub))
     x, y = a + (b + 0.5) / sub, b + (a + 0.5) / sub
@@ -77,7 +82,10 @@ def sample_offsets(sub: int) -> NDArray[np.float32]:
 def radiance(
     scene: Scene, bundle: RayBundle, T_wc: NDArray[np.float64], *, gain: float = 1.0, sub: int = SUB
 ) -> NDArray[np.float32]:
-    """Display-linear RGB (H, W, 3), 0..1 (after the tone curve, before gamma)."""
+    """Display-linear RGB (H, W, 3) in 0..1: after the tone curve, before the sRGB curve.
+
+    gain: exposure factor before the tone curve. sub: visibility samples per pixel side.
+    """
     g, s = scene.geometry, scene.surfaces
     m = g.mesh
     out = np.zeros(bundle.rays.shape, dtype=np.float32)
@@ -91,7 +99,7 @@ def radiance(
 
 
 def to_image(linear: NDArray[np.float32], *, sigma: float = 0.0, seed: int = 0) -> NDArray[np.uint8]:
-    """Gamma-encode display-linear RGB, add sensor noise, quantise."""
+    """Apply the sRGB curve to display-linear RGB, add sensor noise of deviation ``sigma`` (full scale 1), quantise."""
     out = np.empty(linear.shape, dtype=np.uint8)
     shading.encode(np.ascontiguousarray(linear, dtype=np.float32), float(sigma), np.random.default_rng(seed), out)
     return out

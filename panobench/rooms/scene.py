@@ -1,4 +1,4 @@
-"""A scene ready for casting: mesh with dual edges, textures, materials, the tree and (once baked) light."""
+"""A scene that is ready to render: mesh with dual edges and hierarchy, textures, materials and baked light."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Geometry:
-    """What rays need, float64 in world axes: normal (N, 3) and the dual edges (N, 6).
+    """What casting rays needs, in world axes: unit normals (N, 3) and dual edges (N, 6), float64.
 
-    duals[:3] . (x - p0) is u of a point x of the plane, duals[3:] likewise v. For boxes, links, planes, tree_shape
-    and order see ``trace``.
+    For a point x of primitive i's plane, u = duals[i, :3] . (x - p0[i]) and v = duals[i, 3:] . (x - p0[i]).
+    ``trace`` explains boxes, links, planes, tree_shape and order, the bounding volume hierarchy.
     """
 
     mesh: Mesh
@@ -34,7 +34,7 @@ class Geometry:
 
 
 def make_geometry(mesh: Mesh) -> Geometry:
-    """Planes, dual bases and the tree of a mesh."""
+    """Normals, dual edges and bounding volume hierarchy of a mesh."""
     cross = np.cross(mesh.eu, mesh.ev)
     area = np.linalg.norm(cross, axis=1, keepdims=True)
     normal = cross / area
@@ -58,12 +58,12 @@ def make_geometry(mesh: Mesh) -> Geometry:
 
 @dataclass
 class Surfaces:
-    """What shading needs; columns as ``shading`` names them.
+    """What shading needs; ``shading`` names the columns.
 
-    look (N, 7) int32: texture, macro texture (-1: none), light kind (0 grid, 1 triangle), the three node numbers,
-    group.
-    paint (N, 14) float32: texture coordinates, tint, macro strength, emission, coat. albedo (N, 3): mean linear colour,
-    0 for what shines. light (M, 3): irradiance / pi at the nodes, linear RGB; zero until baked.
+    look:   (N, 7) texture, macro texture (-1: none), kind of light nodes (0 grid, 1 triangle), ``Mesh.nodes``, group.
+    paint:  (N, 14) texture coordinates as ``Mesh.uv``, tint, macro strength, emission, reflectance of the coat.
+    albedo: (N, 3) mean linear colour; 0 for a primitive that emits.
+    light:  (M, 3) irradiance / pi at the nodes, linear RGB; zero until baked.
     """
 
     look: NDArray[np.int32]
@@ -74,7 +74,7 @@ class Surfaces:
 
 
 def make_surfaces(mesh: Mesh, seed: int, threads: int = 1) -> Surfaces:
-    """Generate the textures and flatten the materials."""
+    """Generate the textures and write every primitive's material into its row."""
     names = sorted({m.texture for m in mesh.materials if m.texture} | {"macro"})
     number = {name: k + 1 for k, name in enumerate(names)}
     with ThreadPoolExecutor(threads) as pool:

@@ -1,11 +1,11 @@
-"""Radiance of a hit and whole frames: anisotropic texture filtering, baked light, one mirror ray, edge coverage.
+"""Radiance of a hit, and whole frames: anisotropic texture filtering, baked light, one mirror ray, anti-aliasing.
 
-Anti-aliasing: visibility is sampled ``sub`` x ``sub`` times per pixel; every surface seen in a pixel is shaded once,
-with its texture averaged over the pixel's footprint (mip maps, up to eight taps along the longer axis), and weighted by
-the share of samples that see it. Averaging happens after the tone curve, so that bright lamps keep smooth edges.
+Visibility is sampled ``sub`` x ``sub`` times per pixel. Every surface seen in a pixel is shaded once, with its texture
+averaged over the pixel's footprint (mip maps, up to eight taps along the longer axis), and weighted by the share of
+samples that see it. The average is taken after the tone curve, so that bright lamps have smooth edges.
 
-Arrays shared by the kernels (see ``scene.Surfaces``): ``look`` (N, 7) int32, ``paint`` (N, 14) float32, ``texels``,
-``table``, ``light``; ``view`` (4, 3): rows of the camera-to-world rotation, then the centre.
+The kernels share these arrays: ``look``, ``paint`` and ``light`` of ``scene.Surfaces``; ``texels`` and ``table`` of
+``textures.TextureAtlas``; ``view`` (4, 3), the rows of the camera-to-world rotation, then the centre.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from panobench.rooms.visibility import COARSE_H, COARSE_W, FINE_H, FINE_W, candi
 
 MAX_TAPS = 8.0
 FAST = {"contract", "nsz", "reassoc", "arcp"}
-WHITE_LIMIT = 6.0  # radiance that mirrors pass on at most, in display whites
+WHITE_LIMIT = 6.0  # the most radiance that a mirror passes on, in display whites
 
 # Columns of ``look``.
 TEXTURE, MACRO, LIGHT_KIND, NODE0, NODE1, NODE2, GROUP = range(7)
-# Columns of ``paint``: texture coordinates, tint, macro strength, emission, coat.
+# First columns of ``paint``: texture coordinates, tint, macro strength, emission, coat.
 UV, TINT, MACRO_STRENGTH, GLOW, COAT = 0, 6, 9, 10, 13
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def node_light(look: Any, light: Any, i: int, u: float, v: float) -> tuple[float, float, float]:
-    """Light interpolated between the nodes of primitive i at (u, v), linear RGB."""
+    """Irradiance / pi of primitive i at (u, v), linear RGB, interpolated between its nodes."""
     if look[i, LIGHT_KIND] == 1:
         a, b, c, d = look[i, NODE0], look[i, NODE1], look[i, NODE2], 0
         wa, wb, wc, wd = 1.0 - u - v, u, v, 0.0
@@ -51,7 +51,7 @@ def node_light(look: Any, light: Any, i: int, u: float, v: float) -> tuple[float
 
 @njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
 def _texel(texels: Any, first: int, lw: int, lh: int, x: float, y: float) -> tuple[float, float, float]:
-    """Bilinear look-up in one mip level; x, y in texels, wrapping. Texels hold 255 sqrt(linear)."""
+    """Linear RGB by a bilinear look-up in one mip level; x, y in texels, wrapping. Texels are 255 sqrt(linear)."""
     xf, yf = np.floor(x - 0.5), np.floor(y - 0.5)
     fx, fy = x - 0.5 - xf, y - 0.5 - yf
     mx, my = (1 << lw) - 1, (1 << lh) - 1
@@ -71,11 +71,11 @@ def _texel(texels: Any, first: int, lw: int, lh: int, x: float, y: float) -> tup
 def _filtered(
     texels: Any, table: Any, t: int, s: float, r: float, sx: float, rx: float, sy: float, ry: float, taps: float
 ) -> tuple[float, float, float]:
-    """Texture t at (s, r) averaged over the parallelogram (sx, rx), (sy, ry); all in repeats."""
+    """Texture t at (s, r) averaged over the parallelogram of (sx, rx) and (sy, ry); all in repeats."""
     first, lw, lh = table[t, 0], table[t, 1], table[t, 2]
     W, H = float(1 << lw), float(1 << lh)
     ax, ay, bx, by = sx * W, rx * H, sy * W, ry * H
-    # Axes of the footprint ellipse: singular values of [[ax, bx], [ay, by]].
+    # The axes of the footprint ellipse are the singular values of [[ax, bx], [ay, by]].
     p, q, c = ax * ax + bx * bx, ay * ay + by * by, ax * ay + bx * by
     mid, dif = 0.5 * (p + q), 0.5 * (p - q)
     root = np.sqrt(dif * dif + c * c)
@@ -87,7 +87,7 @@ def _filtered(
     lod = min(np.log2(max(max(minor, major / n), 1.0)), float(max(lw, lh)) - 1e-3)
     level = int(max(lod, 0.0))
     f = max(lod, 0.0) - level
-    # Find where the level starts: each halves both sides down to 1.
+    # Find where the level starts: each level halves both sides, down to 1.
     w0, h0, at = lw, lh, first
     for _ in range(level):
         at += 1 << (w0 + h0)
@@ -112,7 +112,7 @@ def surface(
     i: int, u: float, v: float, ux: float, vx: float, uy: float, vy: float,
     look: Any, paint: Any, texels: Any, table: Any, light: Any, taps: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Diffuse or emitted radiance of primitive i at (u, v) with footprint d(u, v)/dx, d(u, v)/dy."""
+    """Diffuse or emitted radiance of primitive i at (u, v), over the footprint (ux, vx), (uy, vy) of a pixel."""
     s = paint[i, 0] + u * paint[i, 1] + v * paint[i, 2]
     t = paint[i, 3] + u * paint[i, 4] + v * paint[i, 5]
     sx, tx = ux * paint[i, 1] + vx * paint[i, 2], ux * paint[i, 4] + vx * paint[i, 5]
@@ -123,7 +123,7 @@ def surface(
     if paint[i, GLOW] > 0.0:
         return r * paint[i, GLOW], g * paint[i, GLOW + 1], b * paint[i, GLOW + 2]
     if look[i, MACRO] >= 0:
-        # Turned and at an odd ratio, so that no two repeats of the base texture look the same.
+        # Rotated and at an odd ratio, so that no two repeats of the base texture look alike.
         m, _, _ = _filtered(
             texels, table, look[i, MACRO], 0.296 * s + 0.222 * t, 0.296 * t - 0.222 * s,
             0.37 * sx, 0.37 * tx, 0.37 * sy, 0.37 * ty, 1.0,
@@ -136,7 +136,7 @@ def surface(
 
 @njit(nogil=True, cache=True, fastmath=FAST, error_model="numpy")
 def tone(x: float, gain: float) -> float:
-    """Display-linear 0..1: straight up to 0.6, then an exponential shoulder with the same slope."""
+    """Display-linear value in 0..1: linear up to 0.6, then an exponential shoulder that starts with the same slope."""
     x = x * gain
     return x if x < 0.6 else 0.6 + 0.4 * (1.0 - np.exp((0.6 - x) * 2.5))
 
@@ -147,7 +147,10 @@ def mirrored(
     look: Any, paint: Any, texels: Any, table: Any, light: Any,
     boxes: Any, links: Any, planes: Any, tree_shape: Any, order: Any, stack: Any,
 ) -> tuple[float, float, float, float]:  # fmt: skip
-    """(r, g, b) seen by reflection in primitive i and the Fresnel weight of it (Schlick's approximation)."""
+    """(r, g, b) that primitive i reflects, and its Fresnel weight (Schlick 1994).
+
+    d0, d1, d2: ray in the camera frame; t: distance in units of its length; spread: half size of a pixel, radians.
+    """
     length = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
     e0 = (view[0, 0] * d0 + view[0, 1] * d1 + view[0, 2] * d2) / length
     e1 = (view[1, 0] * d0 + view[1, 1] * d1 + view[1, 2] * d2) / length
@@ -165,7 +168,7 @@ def mirrored(
     if hit < 0:
         return 0.0, 0.0, 0.0, fresnel
     j = order[hit]
-    # The coat is slightly rough: the reflection's footprint is twice a pixel's.
+    # The coat is slightly rough: the footprint of the reflection is twice that of a pixel.
     wide = 2.0 * spread * (dist + far)
     ku = wide * np.sqrt(duals[j, 0] ** 2 + duals[j, 1] ** 2 + duals[j, 2] ** 2)
     kv = wide * np.sqrt(duals[j, 3] ** 2 + duals[j, 4] ** 2 + duals[j, 5] ** 2)
@@ -180,7 +183,7 @@ def _shade_tile(
     look: Any, paint: Any, texels: Any, table: Any, light: Any,
     boxes: Any, links: Any, planes: Any, tree_shape: Any, order: Any, stack: Any, seen_id: Any, seen: Any, out: Any,
 ) -> None:  # fmt: skip
-    """Shade what the visibility samples of a tile found."""
+    """Shade the surfaces that the visibility samples of one tile hit."""
     per = offsets.shape[0]
     n = 0
     for y in range(y0, y1):
@@ -218,7 +221,7 @@ def _shade_tile(
                 t = 1.0 / w
                 u = (f[row, 3] * d0 + f[row, 4] * d1 + f[row, 5] * d2) * t
                 v = (f[row, 6] * d0 + f[row, 7] * d1 + f[row, 8] * d2) * t
-                # d(U/W) = (dU - u dW)/W along each pixel axis, narrowed to the part that is seen.
+                # d(U/W) = (dU - u dW)/W along each pixel axis, scaled down to the share that is seen.
                 foot = np.sqrt(share) * t
                 dw = f[row, 0] * ax + f[row, 1] * ay + f[row, 2] * az
                 ux = (f[row, 3] * ax + f[row, 4] * ay + f[row, 5] * az - u * dw) * foot
@@ -250,8 +253,7 @@ def render_frame(
 ) -> None:  # fmt: skip
     """Add one frame's display-linear RGB to ``out`` (H, W, 3) float32.
 
-    rays (H, W, 3) float32 in the camera frame, zero where the camera sees nothing; ray_x, ray_y: their derivatives
-    per pixel; coarse, fine: tile cones; offsets (S, 2): where in a pixel visibility is sampled.
+    rays, ray_x, ray_y, coarse, fine: of ``render.RayBundle``. offsets: (S, 2) visibility samples in a pixel.
     """
     H, W = rays.shape[0], rays.shape[1]
     f = np.empty((p0.shape[0], 9), np.float32)
@@ -293,7 +295,7 @@ def render_frame(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def encode(image: Any, sigma: float, rng: Any, out: Any) -> None:
-    """Display-linear (H, W, 3) -> sRGB curve, Gaussian noise of ``sigma`` (0..1 units) -> uint8."""
+    """Write uint8 (H, W, 3) of a display-linear image: sRGB curve, then Gaussian noise of ``sigma`` (full scale 1)."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
             for m in range(3):

@@ -1,4 +1,4 @@
-"""Rooms as shells: floor, ceiling, four walls with openings, and furniture laid out along the walls."""
+"""The shell of a room: floor, ceiling, four walls with openings; furniture and pictures along the walls."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from panobench.rooms import fixtures as fx
+from panobench.rooms.builder import Builder
 from panobench.rooms.fixtures import Opening
-from panobench.rooms.mesh import Builder, Material
+from panobench.rooms.mesh import Material
 
 SIDES = ("south", "east", "north", "west")
 
 
 @dataclass
 class Item:
-    """A piece of furniture for a wall: its width, depth and height with clearances, and how to build it."""
+    """A piece of furniture for a wall: its size with clearances, metres, and the function that builds it."""
 
     width: float
     depth: float
@@ -27,7 +28,11 @@ class Item:
 
 @dataclass
 class Room:
-    """A box [x0, x1] x [y0, y1] x [0, height] with openings per side (wall coordinates) and materials."""
+    """A box [x0, x1] x [y0, y1] x [0, height], metres, with materials and openings per side, in wall coordinates.
+
+    depth: of window reveals. sky: radiance outside. view: texture of the backdrop. own_view: whether the room builds
+    the backdrops behind its windows; otherwise the plan does.
+    """
 
     x0: float
     y0: float
@@ -39,11 +44,11 @@ class Room:
     ceiling: Material
     door: Material
     openings: dict[str, list[Opening]] = field(default_factory=dict)
-    depth: float = 0.22  # of window reveals
+    depth: float = 0.22
     skirting: Material = fx.WHITE
     sky: float = 3.0
     view: str = "outdoors"
-    own_view: bool = True  # False: the plan puts up the backdrops
+    own_view: bool = True
 
     @property
     def width(self) -> float:
@@ -54,12 +59,12 @@ class Room:
         return self.y1 - self.y0
 
     def length(self, side: str) -> float:
-        """Length of a wall."""
+        """Length of a wall, metres."""
         return self.width if side in ("south", "north") else self.breadth
 
     @contextmanager
     def frame(self, b: Builder, side: str) -> Iterator[None]:
-        """Enter the wall frame of a side (see ``fixtures``)."""
+        """Build in the wall frame of a side (see ``fixtures``)."""
         corner = {
             "south": (self.x0, self.y0),
             "east": (self.x1, self.y0),
@@ -71,7 +76,7 @@ class Room:
 
 
 def build_shell(b: Builder, room: Room) -> None:
-    """Surfaces and everything in the openings."""
+    """Build floor, ceiling, walls, and everything in the openings."""
     w, d, h = room.width, room.breadth, room.height
     b.quad(
         (room.x0, room.y0, 0),
@@ -79,7 +84,7 @@ def build_shell(b: Builder, room: Room) -> None:
         (0, d, 0),
         room.floor,
         spacing=0.75 * b.node_spacing,
-        turn=w < d,
+        along_v=w < d,
         origin=(0.0, 0.0),
     )
     b.quad((room.x0, room.y0, h), (0, d, 0), (w, 0, 0), room.ceiling, spacing=1.7 * b.node_spacing)
@@ -101,9 +106,9 @@ def build_shell(b: Builder, room: Room) -> None:
 
 
 def furnish_wall(b: Builder, room: Room, side: str, items: list[Item]) -> list[tuple[float, float, float]]:
-    """Lay items along a wall in random order and gaps, tall ones not before windows, none before doors.
+    """Place items along a wall at random: tall ones not before windows, none before doors.
 
-    Items that do not fit are left out. Returns (x0, x1, height) of what stands there.
+    Items that do not fit are left out. Returns (x0, x1, height) of those that stand there, in wall coordinates.
     """
     length = room.length(side)
     doors = [(o.x0 - 0.12, o.x1 + 0.12) for o in room.openings.get(side, []) if o.kind != "window"]
@@ -136,7 +141,7 @@ def hang_pictures(
     names: list[str],
     gloss: float = 0.0,
 ) -> None:
-    """Pictures in the free stretches of a wall above low furniture."""
+    """Hang pictures (names of textures) where the wall is free above low furniture. taken: from ``furnish_wall``."""
     length = room.length(side)
     blocked = [(o.x0 - 0.2, o.x1 + 0.2) for o in room.openings.get(side, [])]
     blocked += [(a, e) for a, e, h in taken if h > 1.15]

@@ -1,4 +1,4 @@
-"""Single rooms made to be hard in one way each: much texture, hardly any, clutter and gloss."""
+"""Plans of single rooms that are each hard in one way: much texture, hardly any, clutter and gloss."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from panobench.rooms import fixtures as fx
 from panobench.rooms import furniture as fu
 from panobench.rooms import household as hh
 from panobench.rooms import small
+from panobench.rooms.builder import Builder
 from panobench.rooms.fixtures import Opening
-from panobench.rooms.mesh import Builder, Material
+from panobench.rooms.mesh import Material
 from panobench.rooms.plans import Plan, oval, pick, place, unit
 from panobench.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, hang_pictures
 
@@ -66,7 +67,7 @@ def textured(rng: np.random.Generator) -> Plan:
 
 
 def bare(rng: np.random.Generator) -> Plan:
-    """White walls, plain floor, a few plain things: only light and edges to go by."""
+    """White walls, a plain floor, a few plain objects: there is only light and edges to track."""
     b = Builder(rng)
     w, d, h = rng.uniform(4.6, 5.2), rng.uniform(4.2, 4.8), 2.6
     white = Material(pick(rng, "smooth:230,228,222", "smooth:224,228,228", "smooth:230,224,214"), 2.5, macro=0.06)
@@ -102,7 +103,7 @@ def bare(rng: np.random.Generator) -> Plan:
 
 
 def cluttered(rng: np.random.Generator) -> Plan:
-    """Things everywhere, cables, plants, glossy tiles and glazed pictures."""
+    """Objects everywhere, cables, plants, glossy tiles and glazed pictures."""
     b = Builder(rng)
     w, d, h = rng.uniform(5.2, 5.8), rng.uniform(4.8, 5.4), 2.7
     paint = Material(pick(rng, "plaster:212,196,170", "plaster:176,190,186", "plaster:206,184,172"), 2.5, macro=0.3)

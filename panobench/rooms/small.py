@@ -1,4 +1,4 @@
-"""Small things: books, vases, lamps, plants, rugs. They stand on z = 0 unless told otherwise."""
+"""Small objects: books, vases, lamps, plants, rugs. They stand on z = 0 unless a height is given; metres."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import colorsys
 
 import numpy as np
 
+from panobench.rooms.builder import Builder
 from panobench.rooms.fixtures import BLACK, STEEL
-from panobench.rooms.mesh import LEAF, Builder, Material
+from panobench.rooms.mesh import LEAF, Material
 
 
 def books(
@@ -19,7 +20,7 @@ def books(
     room: float,
     depth: float = 0.2,
 ) -> None:
-    """A row of upright books on a board at height z, fronts near y, filling x0..x1 more or less."""
+    """A row of upright books on a board at height z, with spines near y, from x0 to about x1. room: height above it."""
     r = b.rng
     x = x0 + 0.01
     stop = x1 - (r.uniform(0.02, 0.3) * (x1 - x0) if r.uniform() < 0.5 else 0.02)
@@ -35,7 +36,7 @@ def books(
         _spine(b, x, t, y, z, h, spine, k)
         cover = Material("", tint=(0.3 * tint[0], 0.3 * tint[1], 0.33 * tint[2]))
         page = Material("", tint=(0.72, 0.68, 0.58))
-        b.quad((x, y, z), (0, 0, h), (0, -d, 0), cover, spacing=1)  # towards -x
+        b.quad((x, y, z), (0, 0, h), (0, -d, 0), cover, spacing=1)  # the cover towards -x
         b.quad((x + t, y, z), (0, -d, 0), (0, 0, h), cover, spacing=1)
         b.quad((x, y - d, z + h), (t, 0, 0), (0, d, 0), page, spacing=1)
         x += t + 0.001
@@ -46,7 +47,7 @@ def _spine(b: Builder, x: float, t: float, y: float, z: float, h: float, m: Mate
 
 
 def knick_knack(b: Builder, x: float, y: float, z: float) -> None:
-    """Something small: a vase, a box, a ball, a mug."""
+    """A random small object: a vase, a box, a ball or a mug."""
     r = b.rng
     c = 255 * np.clip(colorsys.hsv_to_rgb(r.uniform(), r.uniform(0.08, 0.62), r.uniform(0.25, 0.92)), 0, 1)
     m = Material(f"smooth:{c[0]:.0f},{c[1]:.0f},{c[2]:.0f}", 0.6)
@@ -132,7 +133,6 @@ def plant(b: Builder, size: float = 1.0) -> None:
             green.tinted(shade, shade, shade),
             shape=LEAF,
             two_sided=True,
-            thin=True,
             spacing=0.2,
         )
 

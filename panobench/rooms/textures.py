@@ -1,4 +1,4 @@
-"""The texture library by name, and its packing into one mip-mapped array for the shader.
+"""The textures by name, and their packing into one array with mip maps for the shader.
 
 A name is "pattern" or "pattern:r,g,b" (sRGB 0..255, where the pattern takes a colour), with "#k" for variants.
 """
@@ -85,7 +85,7 @@ _PLAIN: dict[str, Callable[[np.random.Generator], Field]] = {
 
 
 def make_texture(name: str, seed: int) -> Field:
-    """Linear RGB (H, W, 3) float32, sides powers of two, by name. Raises KeyError for an unknown pattern."""
+    """Linear RGB (H, W, 3) float32 of a texture; its sides are powers of two. Raises KeyError for an unknown name."""
     rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
     body = name.partition("#")[0]
     pattern, _, argument = body.partition(":")
@@ -105,7 +105,7 @@ def make_texture(name: str, seed: int) -> Field:
 
 @dataclass(frozen=True)
 class TextureAtlas:
-    """All textures, each with its mip chain, as uint8 RGB in gamma 2 (value = 255 sqrt(linear)).
+    """All textures, each with its mip maps, as uint8 RGB of gamma 2: value = 255 sqrt(linear).
 
     texels (T, 3); table (K, 3) int64: first texel, log2 width, log2 height; mean (K, 3): mean linear colour.
     """
@@ -116,7 +116,7 @@ class TextureAtlas:
 
 
 def pack(images: list[Field]) -> TextureAtlas:
-    """Build the mip chains (box filter in linear light)."""
+    """Pack linear images with their mip maps, made by a box filter in linear light."""
     chunks, rows, means, at = [], [], [], 0
     for image in images:
         h, w = image.shape[:2]

@@ -1,4 +1,8 @@
-"""Single rays through a bounding volume hierarchy: for baking light, mirrors and clearances."""
+"""Single rays through a bounding volume hierarchy, for baking light and for mirrors; distances to primitives.
+
+The hierarchy is binary: ``boxes`` (K, 6) has lower and upper corners, ``links`` (K, 2) either (first child, 0) or
+(first primitive, count). Primitives are numbered in tree order; ``order`` gives their numbers in the mesh.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-LEAF_SIZE = 4
+from panobench.rooms.mesh import DISC, LEAF, TRIANGLE
+
+LEAF_SIZE = 4  # primitives below which a node is not split
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -19,7 +25,7 @@ def _grow(box: Any, k: int, lo: Any, hi: Any, i: int) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _merge(box: Any, k: int, other: Any, j: int) -> float:
-    """Grow box k by box j of ``other``; returns half its surface."""
+    """Grow box k by box j of ``other``; returns half of its surface area."""
     for m in range(3):
         box[k, m], box[k, 3 + m] = min(box[k, m], other[j, m]), max(box[k, 3 + m], other[j, 3 + m])
     x, y, z = box[k, 3] - box[k, 0], box[k, 4] - box[k, 1], box[k, 5] - box[k, 2]
@@ -37,7 +43,7 @@ def _empty(box: Any) -> None:
 def _best_cut(
     order: Any, a: int, b: int, lo: Any, hi: Any, mid: Any, cuts: Any, bins: Any, run: Any
 ) -> tuple[int, float]:
-    """Axis and coordinate of the cheapest cut of order[a:b] by the surface area heuristic; axis -1: none."""
+    """Axis and coordinate of the cheapest split of order[a:b] by the surface area heuristic; axis -1: none."""
     n = bins.shape[0]
     best, axis, where = 1e30, -1, 0.0
     for m in range(3):
@@ -103,9 +109,9 @@ def _build(
 
 
 def build_bvh(lo: NDArray, hi: NDArray) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int64]]:
-    """Binned surface-area-heuristic tree over boxes lo, hi (N, 3).
+    """Boxes, links and order of a hierarchy over the boxes lo, hi (N, 3).
 
-    Returns boxes (K, 6) float32, links (K, 2) int32 - (first child, 0) or (first primitive, count) - and the order.
+    Binned surface area heuristic: Wald, "On fast construction of SAH-based bounding volume hierarchies", 2007.
     """
     n = len(lo)
     order = np.arange(n)
@@ -132,9 +138,9 @@ def trace(
     any_hit: float,
     stack: Any,
 ) -> tuple[int, float, float, float]:
-    """Nearest (``any_hit`` > 0: any) hit within ``far``: (row of ``planes`` or -1, distance, u, v).
+    """The nearest hit of a ray closer than ``far``: row of ``planes`` or -1, distance, u, v. any_hit > 0: any hit.
 
-    ``planes`` (N, 12) float32 in tree order: normal and its offset, dual u and offset, dual v and offset.
+    planes: (N, 12) from ``plane_rows``, in tree order. shape: (N,) in tree order. stack: (128,) int32, work space.
     """
     tiny = 1e-12
     ix = 1.0 / (dx if abs(dx) > tiny else tiny)
@@ -155,7 +161,7 @@ def trace(
             continue
         first, count = links[node, 0], links[node, 1]
         if count == 0:
-            # The nearer child last on the stack, judged by the centres along the ray.
+            # The nearer child, by its centre along the ray, goes on top of the stack.
             c0 = (
                 (boxes[first, 0] + boxes[first, 3]) * dx
                 + (boxes[first, 1] + boxes[first, 4]) * dy
@@ -180,11 +186,11 @@ def trace(
             if u < 0.0 or v < 0.0 or u > 1.0 or v > 1.0:
                 continue
             s = shape[i]
-            if s == 1 and u + v > 1.0:
+            if s == TRIANGLE and u + v > 1.0:
                 continue
-            if s == 2 and (u - 0.5) * (u - 0.5) + (v - 0.5) * (v - 0.5) > 0.25:
+            if s == DISC and (u - 0.5) * (u - 0.5) + (v - 0.5) * (v - 0.5) > 0.25:
                 continue
-            if s == 3 and abs(v - 0.5) > 2.0 * u * (1.0 - u):
+            if s == LEAF and abs(v - 0.5) > 2.0 * u * (1.0 - u):
                 continue
             best, who, bu, bv = t, i, u, v
             if any_hit > 0.0:
@@ -193,7 +199,7 @@ def trace(
 
 
 def plane_rows(p0: NDArray, normal: NDArray, dual_u: NDArray, dual_v: NDArray) -> NDArray[np.float32]:
-    """The (N, 12) rows ``trace`` takes."""
+    """(N, 12) rows for ``trace``: normal, dual edge of u and of v, each with its product with the corner ``p0``."""
     cols = []
     for vectors in (normal, dual_u, dual_v):
         cols += [vectors, np.sum(vectors * p0, axis=1, keepdims=True)]
@@ -202,7 +208,10 @@ def plane_rows(p0: NDArray, normal: NDArray, dual_u: NDArray, dual_v: NDArray) -
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def clearances(p0: Any, eu: Any, ev: Any, points: Any) -> Any:
-    """Lower bound of the distance (M,) from each point to the primitives, metres (discs and leaves as rectangles)."""
+    """Lower bound (M,) of the distance from points (M, 3) to any primitive, metres.
+
+    Triangles, discs and leaves count as their whole parallelogram.
+    """
     out = np.full(points.shape[0], 1e30)
     for i in range(p0.shape[0]):
         aa = eu[i, 0] ** 2 + eu[i, 1] ** 2 + eu[i, 2] ** 2
@@ -219,7 +228,7 @@ def clearances(p0: Any, eu: Any, ev: Any, points: Any) -> Any:
             pb = x * ev[i, 0] + y * ev[i, 1] + z * ev[i, 2]
             u, v = (bb * pa - ab * pb) / det, (aa * pb - ab * pa) / det
             if u < 0.0 or u > 1.0 or v < 0.0 or v > 1.0:
-                # Outside: the nearest of the four edges.
+                # The foot point is outside: take the nearest of the four edges.
                 best = 1e30
                 for k in range(4):
                     if k < 2:

@@ -1,10 +1,10 @@
-"""Which primitive each ray from the camera centre sees: exact, by homogeneous edge functions over tiles.
+"""The primitive that each ray from the camera centre sees, exactly, by homogeneous edge functions over tiles.
 
-From a fixed centre c every primitive (corner p0, unit normal n, dual edges a, b) turns into three vectors: with
-k = n.(p0 - c), W = n/k, U = a - (a.(p0 - c)) W, V = b - (b.(p0 - c)) W, a ray d meets its plane at distance 1/(W.d)
-with coordinates (U.d/W.d, V.d/W.d). So a hit needs no division, and the nearest hit is the largest W.d (Olano & Greer,
-"Triangle scan conversion using 2D homogeneous coordinates", 1997, in angular form). Tiles keep the list of primitives
-that may touch their bounding cone: for a linear f the maximum of f.d over a cone is |f| cos(max(0, angle - half)).
+For a fixed centre c a primitive (corner p0, unit normal n, dual edges a, b) becomes three vectors: with
+k = n.(p0 - c), W = n/k, U = a - (a.(p0 - c)) W, V = b - (b.(p0 - c)) W, a ray d meets its plane at distance 1/(W.d),
+at coordinates (U.d/W.d, V.d/W.d). So a test needs no division, and the nearest hit has the largest W.d (Olano & Greer,
+"Triangle scan conversion using 2D homogeneous coordinates", 1997, here for directions). Each tile has a list of the
+primitives that may touch its bounding cone: the maximum of f.d over a cone is |f| cos(max(0, angle - half angle)).
 """
 
 from __future__ import annotations
@@ -14,17 +14,19 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-COARSE_W, COARSE_H = 64, 32  # pixels of a coarse tile; a multiple of the fine one
+from panobench.rooms.mesh import DISC, RECT, TRIANGLE
+
+COARSE_W, COARSE_H = 64, 32  # pixels of a coarse tile; multiples of the fine one's
 FINE_W, FINE_H = 16, 8
-TOLERANCE = 2e-5  # in units of the edge: closes the cracks float32 leaves between neighbours
+TOLERANCE = 2e-5  # in units of an edge: closes the cracks that float32 leaves between neighbours
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def edge_functions(p0: Any, duals: Any, normal: Any, two_sided: Any, view: Any, out: Any, index: Any) -> int:
     """Fill ``out`` (N, 9) float32 with W, U, V in the camera frame of the primitives that face the centre.
 
-    duals (N, 6): dual edges; view (4, 3): rows of the camera-to-world rotation, then the centre. The primitives'
-    numbers go to ``index``; returns how many.
+    duals: (N, 6) dual edges. view: (4, 3) rows of the camera-to-world rotation, then the centre. ``index`` gets the
+    primitives' numbers. Returns how many there are.
     """
     count = 0
     for i in range(p0.shape[0]):
@@ -59,7 +61,7 @@ def _reaches(
     cos_h: float,
     sin_h: float,
 ) -> bool:
-    """Whether the linear function (x, y, z) is positive somewhere in the cone."""
+    """Whether the linear function (x, y, z).d is positive for some direction d in the cone."""
     along = x * ax + y * ay + z * az
     norm2 = x * x + y * y + z * z
     across = np.sqrt(max(norm2 - along * along, 0.0))
@@ -86,7 +88,7 @@ def _may_touch(
         return False
     if not _reaches(v0, v1, v2, ax, ay, az, cos_h, sin_h):
         return False
-    if shape == 1:
+    if shape == TRIANGLE:
         return _reaches(w0 - u0 - v0, w1 - u1 - v1, w2 - u2 - v2, ax, ay, az, cos_h, sin_h)
     if not _reaches(w0 - u0, w1 - u1, w2 - u2, ax, ay, az, cos_h, sin_h):
         return False
@@ -95,9 +97,9 @@ def _may_touch(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def cone_of(rays: Any, y0: int, y1: int, x0: int, x1: int, spread: float) -> tuple[float, float, float, float]:
-    """Axis and cosine of the half angle of the cone round a block of rays, widened by ``spread`` radians.
+    """Axis and cosine of the half angle of a cone round a block of rays, widened by ``spread`` radians.
 
-    The cosine is 2 when the block has no rays.
+    The cosine is -1, the whole sphere, if the rays cancel or if there are none.
     """
     ax, ay, az = 0.0, 0.0, 0.0
     for y in range(y0, y1):
@@ -128,7 +130,7 @@ def cone_of(rays: Any, y0: int, y1: int, x0: int, x1: int, spread: float) -> tup
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def tile_cones(rays: Any, spreads: Any, tile_w: int, tile_h: int) -> Any:
-    """(rows, columns, 4) float64: axis and cosine of each tile; ``spreads`` (H, W), radians, covers its pixels."""
+    """(rows, columns, 4) axis and cosine of each tile's cone. spreads: (H, W) half size of the pixels, radians."""
     H, W = rays.shape[0], rays.shape[1]
     rows, cols = (H + tile_h - 1) // tile_h, (W + tile_w - 1) // tile_w
     out = np.zeros((rows, cols, 4))
@@ -146,7 +148,7 @@ def tile_cones(rays: Any, spreads: Any, tile_w: int, tile_h: int) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def candidates(f: Any, index: Any, shape: Any, source: Any, count: int, cone: Any, out: Any) -> int:
-    """Rows of ``source[:count]`` (numbers into ``f``) that may be seen in the cone go to ``out``; returns how many."""
+    """Write to ``out`` the rows of ``f``, of those in ``source[:count]``, that the cone may see; returns how many."""
     cos_h = cone[3]
     if cos_h > 1.5:
         return 0
@@ -178,7 +180,7 @@ def nearest(
     best: Any,
     who: Any,
 ) -> None:
-    """For n rays: ``best`` = inverse distance of the nearest hit (0: none), ``who`` = its row in ``f`` (-1)."""
+    """For n rays: ``best`` gets the inverse distance of the nearest hit or 0, ``who`` its row in ``f`` or -1."""
     for j in range(n):
         best[j] = np.float32(0.0)
         who[j] = np.int32(-1)
@@ -189,7 +191,7 @@ def nearest(
         u0, u1, u2 = f[i, 3], f[i, 4], f[i, 5]
         v0, v1, v2 = f[i, 6], f[i, 7], f[i, 8]
         kind = shape[index[i]]
-        if kind == 0:
+        if kind == RECT:
             for j in range(n):
                 w = w0 * dx[j] + w1 * dy[j] + w2 * dz[j]
                 u = u0 * dx[j] + u1 * dy[j] + u2 * dz[j]
@@ -198,7 +200,7 @@ def nearest(
                 hit = (w > best[j]) & (u >= -e) & (v >= -e) & (w - u >= -e) & (w - v >= -e)
                 best[j] = w if hit else best[j]
                 who[j] = i if hit else who[j]
-        elif kind == 1:
+        elif kind == TRIANGLE:
             for j in range(n):
                 w = w0 * dx[j] + w1 * dy[j] + w2 * dz[j]
                 u = u0 * dx[j] + u1 * dy[j] + u2 * dz[j]
@@ -207,7 +209,7 @@ def nearest(
                 hit = (w > best[j]) & (u >= -e) & (v >= -e) & (w - u - v >= -e)
                 best[j] = w if hit else best[j]
                 who[j] = i if hit else who[j]
-        elif kind == 2:
+        elif kind == DISC:
             for j in range(n):
                 w = w0 * dx[j] + w1 * dy[j] + w2 * dz[j]
                 u = u0 * dx[j] + u1 * dy[j] + u2 * dz[j] - np.float32(0.5) * w
@@ -216,7 +218,7 @@ def nearest(
                 best[j] = w if hit else best[j]
                 who[j] = i if hit else who[j]
         else:
-            # Leaf: |v - 1/2| <= 2 u (1 - u), times w^2.
+            # A leaf is |v - 1/2| <= 2 u (1 - u); both sides are multiplied by w^2.
             for j in range(n):
                 w = w0 * dx[j] + w1 * dy[j] + w2 * dz[j]
                 u = u0 * dx[j] + u1 * dy[j] + u2 * dz[j]
@@ -228,7 +230,7 @@ def nearest(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def cast_centres(f: Any, count: int, index: Any, shape: Any, rays: Any, coarse: Any, fine: Any, who: Any) -> None:
-    """Primitive number seen by each pixel's centre ray into ``who`` (H, W) int32, -1 where none."""
+    """Write to ``who`` (H, W) the number of the primitive that each pixel's centre ray sees; -1: none."""
     H, W = rays.shape[0], rays.shape[1]
     every = np.arange(count).astype(np.int32)
     big, small = np.empty(count + 1, np.int32), np.empty(count + 1, np.int32)
@@ -261,7 +263,7 @@ def cast_centres(f: Any, count: int, index: Any, shape: Any, rays: Any, coarse: 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def plane_depth(p0: Any, normal: Any, who: Any, rays: Any, view: Any, out: Any) -> None:
-    """Radial depth (H, W) float32 of the seen primitives' planes in float64 arithmetic; NaN where none."""
+    """Write to ``out`` (H, W) the radial depth of the primitives seen, from float64 arithmetic; NaN: none."""
     for y in range(who.shape[0]):
         for x in range(who.shape[1]):
             i = who[y, x]

@@ -1,4 +1,4 @@
-"""A room of a kind and seed, with its path: built on demand, its light kept in the cache."""
+"""A room of a kind and a seed, with the camera path through it. Its light and poses are kept in the cache."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ from panobench.rooms.scene import Geometry, Scene, Surfaces, make_geometry, make
 
 Array = NDArray[np.float64]
 NOVEL_VIEWS = 8
-CLEARANCE = 0.3
+CLEARANCE = 0.3  # metres that the camera keeps from everything
 
 
 @dataclass(frozen=True)
-class Path3:
-    """Camera-to-world poses (N, 4, 4) of the sequence and of the novel views, and the exposure of the scene."""
+class CameraPath:
+    """Camera-to-world poses of the frames (N, 4, 4) and of the novel views (8, 4, 4), and the scene's exposure.
+
+    exposure: factor from radiance to display-linear values, before the tone curve.
+    """
 
     T_wc: Array
     novel: Array
@@ -33,7 +36,7 @@ class Path3:
 
 
 class World:
-    """Everything about one room that does not depend on the camera."""
+    """Everything about one room that does not depend on the camera model. frames: None for the kind's own number."""
 
     def __init__(self, kind: str, seed: int, frames: int | None) -> None:
         self.name, self.seed = kind, seed
@@ -41,26 +44,26 @@ class World:
         self.frames = frames or self.kind.motion.frames
 
     def rng(self, purpose: str) -> np.random.Generator:
-        """Independent random numbers per purpose, the same on every call."""
+        """Random numbers for one purpose, independent of other purposes and the same on every call."""
         return np.random.default_rng([self.seed, zlib.crc32(self.name.encode()), zlib.crc32(purpose.encode())])
 
     def key(self) -> dict[str, Any]:
-        """What the room and its path depend on."""
+        """What the room and its path depend on, for cache keys."""
         return {"room": self.name, "seed": self.seed, "frames": self.frames}
 
     @cached_property
     def plan(self) -> Plan:
-        """Mesh and walk."""
+        """The mesh, and the closed walk through it."""
         return self.kind.plan(self.rng("plan"))
 
     @cached_property
     def geometry(self) -> Geometry:
-        """For depth and casting."""
+        """The mesh prepared for casting rays."""
         return make_geometry(self.plan.mesh)
 
     @cached_property
     def folder(self) -> Path:
-        """Cache folder of the room: light and poses."""
+        """Cache folder of the room's light and poses."""
         return cache.cache_root() / "rooms" / f"{self.name}-{self.seed}-{cache.key_of(self.key())}"
 
     @cached_property
@@ -86,19 +89,19 @@ class World:
         np.savez(folder / "room.npz", light=light, exposure=exposure, T_wc=T_wc, novel=novel)
 
     def prepare(self) -> None:
-        """Bake if the cache has no such room yet."""
+        """Bake the light and choose the path, if the cache does not have them yet."""
         cache.publish(self.folder, self._bake)
 
     @cached_property
-    def path(self) -> Path3:
-        """Poses and exposure."""
+    def path(self) -> CameraPath:
+        """Poses and exposure, from the cache."""
         self.prepare()
         with np.load(self.folder / "room.npz") as z:
-            return Path3(z["T_wc"], z["novel"], float(z["exposure"]))
+            return CameraPath(z["T_wc"], z["novel"], float(z["exposure"]))
 
     @cached_property
     def scene(self) -> Scene:
-        """Ready to render."""
+        """Geometry, textures and baked light, ready to render."""
         self.prepare()
         surfaces = self._surfaces
         with np.load(self.folder / "room.npz") as z:
@@ -107,9 +110,9 @@ class World:
 
 
 def _exposure(g: Geometry, light: NDArray[np.float32], albedo: NDArray[np.float32]) -> float:
-    """Gain that brings the room's area-weighted log mean radiance to 0.28 sqrt(its albedo) of display white.
+    """Gain that brings the room's area-weighted log-mean radiance to 0.28 sqrt(log-mean albedo) of display white.
 
-    White rooms then come out brighter than dark ones, as with a photographer's exposure.
+    So white rooms come out brighter than dark ones, as in a photograph.
     """
     mesh = g.mesh
     flat = mesh.shape != TRIANGLE

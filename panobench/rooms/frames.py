@@ -1,4 +1,4 @@
-"""Turns a world, a camera and options into image files: several frames at a time, one thread each."""
+"""The frames of one sequence: poses, depth, images with their disturbances, and the image files of the cache."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from panobench.rooms.world import World
 Array = NDArray[np.float64]
 
 
-class Studio:
-    """Renders the frames of one sequence."""
+class FrameRenderer:
+    """Renders the frames of one room seen by one camera. Everything expensive is made when it is first needed."""
 
     def __init__(self, world: World, camera: Camera, options: RoomOptions) -> None:
         self.world, self.camera, self.options = world, camera, options
 
     @cached_property
     def _mount(self) -> Array:
-        """Axes of the camera in those of an upright one (a PAL lens looks up)."""
+        """Pose (4, 4) of the camera in the axes of an upright one: an annular lens looks up."""
         return make_pose(upright_rotation(self.camera), np.zeros(3))
 
     @cached_property
     def T_wc(self) -> Array:
-        """(N, 4, 4) poses of the frames."""
+        """(N, 4, 4) camera-to-world poses of the frames."""
         return np.asarray(self.world.path.T_wc @ self._mount)
 
     @cached_property
     def T_novel(self) -> Array:
-        """(8, 4, 4) poses of the novel views."""
+        """(8, 4, 4) camera-to-world poses of the novel views."""
         return np.asarray(self.world.path.novel @ self._mount)
 
     @cached_property
@@ -52,7 +52,7 @@ class Studio:
 
     @cached_property
     def _shutter(self) -> float:
-        """Share of a frame time the shutter is open so that the median streak is ``blur`` pixels long."""
+        """Share of the frame time for which the shutter is open, so that the median streak is ``blur`` pixels long."""
         n = len(self.T_wc)
         some = np.linspace(0, n - 2, 6).astype(int)
         flows = []
@@ -62,9 +62,7 @@ class Studio:
         return float(min(1.0, self.options.blur / max(float(np.median(flows)), 1e-6)))
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """Exact radial depth (H, W) of a frame."""
-        if effects.is_black(self.options, index, len(self.T_wc)):
-            pass  # the geometry is still there
+        """Exact radial depth (H, W) of a frame, metres; NaN where an occluder hides the room. Black frames have it."""
         d = render.depth(self.world.geometry, self._bundle, self.T_wc[index])
         hidden = effects.occluder(self.options, index, self._bundle.exact)
         if hidden is not None:
@@ -72,7 +70,7 @@ class Studio:
         return d
 
     def frame(self, index: int) -> NDArray[np.uint8]:
-        """One frame with all its troubles."""
+        """RGB (H, W, 3) of one frame with all its disturbances."""
         o = self.options
         gain = float(self._gains[index])
         if effects.is_black(o, index, len(self.T_wc)):
@@ -96,13 +94,8 @@ class Studio:
         return render.to_image(linear, sigma=o.noise, seed=(o.seed * 1_000_003 + index * 7919 + 17))
 
     def render_frames(self, first: int, last: int, to: Path) -> None:
-        """Write frames first..last-1 as PNG files named by index."""
-        _ = (
-            self.world.scene,
-            self._bundle,
-            self._gains,
-            self.T_wc,
-        )  # made once, before the threads
+        """Write frames first to last - 1 into the folder ``to``, as PNG files named by index, one thread per frame."""
+        _ = self.world.scene, self._bundle, self._gains, self.T_wc  # computed before the threads start
         if self.options.blur > 0:
             _ = self._shutter
         with ThreadPoolExecutor(render.worker_count()) as pool:
@@ -115,7 +108,7 @@ class Studio:
         (to / "about.json").write_text(json.dumps({"room": self.world.key(), "options": self.options.to_dict()}))
 
     def render_novel(self, to: Path) -> None:
-        """Write the novel views as PNG files."""
+        """Write the novel views, without noise or disturbances, into the folder ``to`` as PNG files."""
         scene, gain = self.world.scene, self.world.path.exposure
 
         def one(k: int) -> None:

@@ -87,7 +87,7 @@ def test_unknown_names() -> None:
 
 def test_cached_frames_are_the_rendered_ones(tiny: RoomSequence) -> None:
     again = RoomsDataset().open("tiny", width=192)
-    np.testing.assert_array_equal(again.image(3), tiny._studio.frame(3))
+    np.testing.assert_array_equal(again.image(3), tiny._renderer.frame(3))
 
 
 def test_any_width(tiny: RoomSequence) -> None:
