@@ -1,0 +1,35 @@
+"""The verdict on a run, from everything that can be known about it without ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from panobench.types import Estimate, Trajectory
+from panobench.verdict import estimate as own
+from panobench.verdict import trajectory as path
+from panobench.verdict.base import Evidence, Verdict, decide
+
+
+def assess(
+    estimate: Estimate,
+    given: int,
+    metrics: Mapping[str, float | None] | None = None,
+    others: Mapping[str, Trajectory] | None = None,
+    rejected: str = "",
+) -> Verdict:
+    """The verdict on an estimate for ``given`` frames.
+
+    metrics: what the run's own map scored at the frames themselves. others: trajectories of other methods on the same
+    frames, by name. rejected: why the run does not count anyway ("" if it does); the verdict is then "failed".
+    """
+    found: list[Evidence | None] = [
+        path.coverage(len(estimate.trajectory), given),
+        path.steadiness(estimate.trajectory),
+        own.first_depth(estimate),
+        own.agreement(estimate),
+        own.map_pictures(metrics or {}),
+    ]
+    found += [path.second_method(estimate.trajectory, t, name, given) for name, t in (others or {}).items()]
+    if rejected:
+        found.append(Evidence("status", 0.0, rejected))
+    return decide([e for e in found if e is not None])

@@ -1,0 +1,52 @@
+"""Evidence in what a method says beside its trajectory: its first depth, its map, its own doubts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from panobench.types import Estimate
+from panobench.verdict.base import Evidence, falling
+
+#: Trust in a map that started from a depth that had failed its own check.
+CONSTANT_START = 0.4
+#: PSNR of the map at its own frames, in dB, that a right run of a recording reaches, and that no right run has.
+PSNR_GOOD, PSNR_BAD = 19.0, 13.0
+#: Median share of textured blocks in which frame and render agree.
+AGREEMENT_GOOD, AGREEMENT_BAD = 0.65, 0.35
+
+
+def first_depth(estimate: Estimate) -> Evidence | None:
+    """Whether the depth that the map started from had passed its own check."""
+    if estimate.depth is None:
+        return None
+    if estimate.depth.ok:
+        return Evidence("first depth", 1.0, "the first depth passed its check")
+    return Evidence(
+        "first depth", CONSTANT_START, f"the map started from a depth that failed its check ({estimate.depth.message})",
+        "start where the camera moves sideways past things at different distances, or mask what moves with it (--mask)",
+    )  # fmt: skip
+
+
+def map_pictures(metrics: Mapping[str, float | None]) -> Evidence | None:
+    """How well the map shows the frames: held-out ones if there are any."""
+    for key, what in (("holdout_psnr_db", "held-out frames"), ("pano_psnr_db", "its own frames")):
+        value = metrics.get(key)
+        if value is not None:
+            trust = falling(value, PSNR_GOOD, PSNR_BAD)
+            return Evidence("pictures", trust, f"the map shows {what} with {value:.1f} dB")
+    return None
+
+
+def agreement(estimate: Estimate) -> Evidence | None:
+    """The share of each frame that the method's map explains, if the method says so per frame ("agreement")."""
+    shares = [row["agreement"] for row in estimate.frames.values() if "agreement" in row]
+    if len(shares) < 5:
+        return None
+    low = float(np.quantile(shares, 0.25))
+    return Evidence(
+        "agreement", falling(low, AGREEMENT_GOOD, AGREEMENT_BAD),
+        f"in a quarter of the frames the map explains less than {100 * low:.0f}% of the picture",
+        "mask what moves with the camera (--mask), or record with less motion in view",
+    )  # fmt: skip

@@ -1,0 +1,118 @@
+"""The verdict on runs: right ones are trusted, each kind of fault is named, and doubts add up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from panobench.geometry import Sim3, se3_exp, so3_exp
+from panobench.types import DepthEstimate, Estimate, Trajectory
+from panobench.verdict.assess import assess
+from panobench.verdict.base import Evidence, Word, decide, falling
+from panobench.verdict.trajectory import coverage, path_deviation, second_method, steadiness
+
+
+def walk(count: int = 60, noise: float = 0.0, seed: int = 0) -> Trajectory:
+    """A curved walk of about 2 m, at 15 Hz."""
+    t = np.arange(count) / 15
+    T = np.stack([se3_exp([0.0, 0.0, 0.0, 0.0, 0.3 * s, 0.0]) for s in t])
+    T[:, :3, 3] = np.stack([0.5 * t, 0.05 * np.sin(6 * t), 0.2 * t**1.5], axis=1)
+    T[:, :3, 3] += noise * np.random.default_rng(seed).normal(size=(count, 3))
+    return Trajectory(t, T)
+
+
+def depth(ok: bool) -> DepthEstimate:
+    return DepthEstimate(np.ones((4, 8), np.float32), ok=ok, message="" if ok else "constant depth")
+
+
+def test_a_run_with_nothing_against_it_is_trusted() -> None:
+    verdict = assess(Estimate(walk(), depth=depth(True)), 60, {"pano_psnr_db": 28.0}, {"sparse": walk(noise=0.001)})
+    assert verdict.word is Word.TRUSTED
+    assert verdict.confidence == pytest.approx(1.0)
+    assert verdict.reasons == ()
+    assert len(verdict.evidence) == 5
+
+
+def test_a_path_that_a_second_method_contradicts_is_doubtful_and_says_so() -> None:
+    other = walk()
+    bent = other.T_wc.copy()
+    bent[:, 0, 3] += 0.15 * other.times**2
+    verdict = assess(Estimate(walk()), 60, others={"sparse": Trajectory(other.times, bent)})
+    assert verdict.word is not Word.TRUSTED
+    assert "'sparse'" in verdict.reasons[0]
+    assert verdict.advice
+
+
+def test_the_second_methods_world_and_scale_do_not_matter() -> None:
+    other = walk(noise=0.0005, seed=1)
+    moved = Sim3(3.0, so3_exp(np.array([0.1, 2.0, 0.3])), np.array([1.0, 2.0, 3.0])).apply_poses(other.T_wc)
+    evidence = second_method(walk(), Trajectory(other.times, moved), "sparse", 60)
+    assert evidence is not None
+    assert evidence.trust == 1.0
+
+
+def test_a_second_method_that_saw_little_says_nothing() -> None:
+    assert second_method(walk(), walk().select(np.arange(5)), "sparse", 60) is None
+    still = Trajectory(walk().times, np.tile(np.eye(4), (60, 1, 1)))
+    assert second_method(walk(), still, "sparse", 60) is None
+    assert path_deviation(walk().positions, still.positions) is None
+
+
+def test_frames_without_a_pose_count() -> None:
+    assert coverage(60, 60).trust == 1.0
+    assert coverage(58, 60).trust > 0.5
+    assert coverage(0, 0).trust < 0.05
+    assert assess(Estimate(walk(50)), 60).word is Word.FAILED
+
+
+def test_a_jump_is_named_with_its_time() -> None:
+    T = walk().T_wc.copy()
+    T[30:, :3, 3] += [0.0, 0.8, 0.0]
+    evidence = steadiness(Trajectory(walk().times, T))
+    assert evidence.trust < 0.5
+    assert "2.00 s" in evidence.text
+    assert steadiness(walk()).trust == 1.0
+
+
+def test_standing_still_and_starting_to_walk_is_no_jump() -> None:
+    still = np.tile(np.eye(4), (40, 1, 1))
+    going = walk(40).T_wc
+    both = np.concatenate([still, going])
+    both[:, :3, 3] += np.random.default_rng(0).normal(0, 1e-4, (80, 3))
+    assert steadiness(Trajectory(np.arange(80) / 15, both)).trust == 1.0
+
+
+def test_a_constant_start_and_a_blurred_map_are_doubts_that_add_up() -> None:
+    constant = assess(Estimate(walk(), depth=depth(False)), 60)
+    both = assess(Estimate(walk(), depth=depth(False)), 60, {"pano_psnr_db": 16.0})
+    assert constant.word is Word.DOUBTFUL
+    assert both.confidence < constant.confidence
+    assert "constant depth" in constant.reasons[0]
+
+
+def test_what_the_map_does_not_explain_counts() -> None:
+    rows = {i: {"agreement": 0.3 if i % 3 == 0 else 0.9} for i in range(30)}
+    assert assess(Estimate(walk(), frames=rows), 60).word is not Word.TRUSTED
+    assert assess(Estimate(walk(), frames={i: {"agreement": 0.9} for i in range(30)}), 60).word is Word.TRUSTED
+
+
+def test_a_run_that_does_not_count_has_failed() -> None:
+    verdict = assess(Estimate(walk()), 60, rejected="crashed: no memory")
+    assert verdict.word is Word.FAILED
+    assert verdict.confidence == 0.0
+    assert verdict.reasons[0] == "crashed: no memory"
+
+
+def test_trust_falls_from_good_to_bad_in_either_direction() -> None:
+    assert falling(0.001, 0.005, 0.02) == 1.0
+    assert falling(0.02, 0.005, 0.02) == pytest.approx(0.1)
+    assert falling(13.0, 19.0, 13.0) == pytest.approx(0.1)
+    assert falling(30.0, 19.0, 13.0) == 1.0
+    assert falling(float("nan"), 1.0, 2.0) < 0.1
+    with pytest.raises(ValueError, match="trust"):
+        Evidence("x", 1.5, "")
+
+
+def test_the_worst_reason_comes_first() -> None:
+    verdict = decide([Evidence("a", 0.9, "a little"), Evidence("b", 0.2, "a lot"), Evidence("c", 1.0, "nothing")])
+    assert verdict.reasons == ("a lot", "a little")
