@@ -1,13 +1,14 @@
 """Depth of a first frame from the first frames themselves: no weights, no scale.
 
 Frames are collected until they have parallax; rough poses (``bootstrap_starts``) become depth and poses
-(``bootstrap_solve``), which are judged (``bootstrap_check``). What fails is tried again with more frames and then from
-the other kind of start; in the end the answer is a constant that says so.
+(``bootstrap_solve``), which are judged (``bootstrap_check``). What fails is tried again with more frames, then from the
+other kind of start, then from a later frame. In the end the answer is the best of what failed, or a constant without
+any parallax; both say that they are not to be trusted.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class BootstrapOptions:
     """parallax_rad: translation over depth that ends the wait after ``frames`` frames; parallax_fast_rad: already after
     min_frames. parallax_min_rad: below it nothing is tried. wait: frames after which what there is has to do, if the
     camera moved; patience: the same if it did not. more: factor on the parallax asked for after a failure.
+    restarts: later first frames tried after all starts from one have failed.
     narrow_sr: views of less solid angle start from feature tracks, and do not wait while they lose the reference from
     view (leaving: share still seen); of two solutions for them one must be better by the factor clear.
     """
@@ -44,6 +46,7 @@ class BootstrapOptions:
     patience: int = 150
     tries: int = 3
     more: float = 1.5
+    restarts: int = 4
     narrow_sr: float = 2 * np.pi
     leaving: float = 0.6
     clear: float = 1.15
@@ -66,6 +69,8 @@ class BootstrapDepth(DepthEstimator):
         self.pyramids: list[list[F32]] = []
         self.starts: PoseStart = self._start_of(self.narrow)
         self.demand, self.problems = 1.0, list[str]()
+        self.tries, self.restarts = 0, 0
+        self.failed: list[tuple[float, str, DepthEstimate]] = []  # share of the depth agreed on, problem
 
     def _start_of(self, tracks: bool) -> PoseStart:
         return TrackStart(self.camera, self.seed) if tracks else FlatStart(self.camera, self.solver)
@@ -79,7 +84,7 @@ class BootstrapDepth(DepthEstimator):
         self.starts.add(frame, self.pyramids)
         start, n = self.starts.start(), len(self.frames)
         if start is not None and self._enough(start):
-            tired = len(self.problems) + 1 >= o.tries and not self.narrow
+            tired = self.tries + 1 >= o.tries and not self.narrow
             return self._answer(start, last=n >= o.wait or tired)
         moved = start is not None and start.parallax() >= o.parallax_min_rad
         if n >= (o.wait if moved or self.narrow else o.patience):
@@ -90,8 +95,8 @@ class BootstrapDepth(DepthEstimator):
         if not self.frames:
             return None
         if len(self.frames) < 3:
-            return self._constant("too few frames")
-        return self._answer(self.starts.start(), last=True)
+            return self._fallback("too few frames")
+        return self._answer(self.starts.start(), last=True, final=True)
 
     def _enough(self, start: Start) -> bool:
         """Parallax for a try; after a failure more of it."""
@@ -105,8 +110,11 @@ class BootstrapDepth(DepthEstimator):
 
     # -- answering -----------------------------------------------------------------------------------------------
 
-    def _answer(self, start: Start | None, *, last: bool) -> DepthEstimate | None:
-        """A depth that is believed; None: more frames, please. ``last``: no more will come, or they would not help."""
+    def _answer(self, start: Start | None, *, last: bool, final: bool = False) -> DepthEstimate | None:
+        """A depth that passes its check; None: more frames, please.
+
+        last: more frames would not help this first frame. final: no more will come.
+        """
         found = self._attempt(start, self.starts)
         if found is None and not last:
             self._again()
@@ -116,13 +124,26 @@ class BootstrapDepth(DepthEstimator):
             other = self._start_of(not self.narrow)
             for k, frame in enumerate(self.frames):
                 other.add(frame, self.pyramids[: k + 1])
-            found = self._attempt(other.start(), other) or self._constant("; ".join(dict.fromkeys(self.problems)))
+            found = self._attempt(other.start(), other)
             other.close()
+        # A later start helps against what moves in the scene, not against a camera that does not move.
+        if found is None and not final and self.failed and self.restarts < self.options.restarts:
+            self._begin_later()
+            return None
         self.pyramids = []
-        return found
+        return found or self._fallback("; ".join(dict.fromkeys(self.problems)))
+
+    def _begin_later(self) -> None:
+        """The newest frame is the first one from here on."""
+        self.restarts += 1
+        self.frames, self.pyramids = self.frames[-1:], self.pyramids[-1:]
+        self.demand, self.tries = 1.0, 0
+        self.starts = self._start_of(self.narrow)
+        self.starts.add(self.frames[0], self.pyramids)
 
     def _again(self) -> None:
         """After a failure: more parallax on a wide view; a narrow one has turned away, and begins anew from here."""
+        self.tries += 1
         if not self.narrow:
             self.demand *= self.options.more
             return
@@ -147,11 +168,14 @@ class BootstrapDepth(DepthEstimator):
         problem = None
         if self.narrow and isinstance(way, TrackStart):
             solution, problem = self._settled(start, usable, pyramids, solution)
-        problem = problem or judge(self.solver, pyramids, solution).problem()
+        verdict = judge(self.solver, pyramids, solution)
+        problem = problem or verdict.problem()
+        estimate = self._estimate(start, way, usable, solution)
         if problem is not None:
             self.problems.append(problem)
+            self.failed.append((verdict.agreement, problem, estimate))
             return None
-        return self._estimate(start, way, usable, solution)
+        return estimate
 
     def _settled(
         self, start: Start, usable: list[int], pyramids: list[list[F32]], solution: Solution
@@ -195,6 +219,11 @@ class BootstrapDepth(DepthEstimator):
             message="bootstrap: " + ", ".join(said),
         )
 
-    def _constant(self, why: str) -> DepthEstimate:
+    def _fallback(self, why: str) -> DepthEstimate:
+        """What failed its check by least; a constant if nothing had parallax."""
+        if self.failed:
+            _, problem, best = max(self.failed, key=lambda candidate: candidate[0])
+            said = f"all {len(self.failed)} attempts failed their check; of the one that is used, {problem}"
+            return replace(best, ok=False, message=f"bootstrap: {said}")
         depth = np.full((self.camera.height, self.camera.width), MEDIAN_DEPTH, np.float32)
         return DepthEstimate(depth, self.frames[0].index, ok=False, message=f"bootstrap: {why}; constant depth")
