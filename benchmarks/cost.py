@@ -17,14 +17,13 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.bench.provenance import available_cores, commit, cpu_model
+from panobench.bench.record import RunRecord, read_record
 from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import execute
 from panobench.bench.tables import text_table
 from panobench.writing import write_whole
@@ -43,7 +42,7 @@ class Cost:
     tracking: Array
     mapping: Array
     gaussians: Array
-    run: dict[str, Any]
+    run: RunRecord
 
     def mean_ms(self, values: Array, first: float = 0, last: float = np.inf) -> float:
         """Mean of seconds over frames first..last-1, in milliseconds."""
@@ -56,16 +55,16 @@ def run(sequence: str, width: int, frames: int, seed: int) -> Cost:
     request = RunRequest(method="panogs", sequence=sequence, width=width, max_frames=frames, seed=seed)
     with tempfile.TemporaryDirectory() as folder:
         done = execute(request, Path(folder) / "run")
-        document = read_run_json(done)
+        record = read_record(done)
         with (done / "frames.csv").open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-    print(f"{sequence} {width} wide: {document['status']}, {document['timing']['fps']:.2f} frames/s", flush=True)
+    print(f"{sequence} {width} wide: {record.status}, {record.number('fps') or 0.0:.2f} frames/s", flush=True)
 
     def column(name: str) -> Array:
         return np.array([float(row.get(name) or "nan") for row in rows])
 
     names = ("index", "latency_s", "tracking_s", "mapping_s", "gaussians")
-    return Cost(*(column(name) for name in names), document)
+    return Cost(*(column(name) for name in names), record)
 
 
 def growth(cost: Cost) -> tuple[list[str], list[list[str]]]:
@@ -96,9 +95,9 @@ def widths_table(costs: dict[int, Cost]) -> tuple[list[str], list[list[str]]]:
     for width, c in costs.items():
         first = min(START, len(c.index) // 2)
         parts = [c.mean_ms(values, first) for values in (c.total, c.tracking, c.mapping)]
-        ate = c.run["metrics"]["ate_rmse_m"]
+        ate = c.run.number("ate_rmse_m")
         rows.append(
-            [f"{width}x{width // 2}", f"{c.run['timing']['fps']:.2f}", *(f"{p:.1f}" for p in parts)]
+            [f"{width}x{width // 2}", f"{c.run.number('fps') or 0.0:.2f}", *(f"{p:.1f}" for p in parts)]
             + [f"{np.nanmax(c.gaussians):.0f}", "/" if ate is None else f"{1e3 * ate:.2f}"]
         )
     return header, rows

@@ -25,8 +25,8 @@ from typing import Any
 
 from numba.core import event
 
+from panobench.bench.record import read_record
 from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import execute
 
 #: Exit code of a process whose answer does not count.
@@ -54,9 +54,9 @@ def answer(request: RunRequest) -> dict[str, Any]:
     """The run's status and figures, and digests of its trajectory and its map."""
     with tempfile.TemporaryDirectory() as folder:
         done = execute(request, Path(folder) / "run")
-        document = read_run_json(done)
-        found: dict[str, Any] = {"status": document["status"], "frames": document["frames"]["tracked"]}
-        found["ate_rmse_m"] = document["metrics"].get("ate_rmse_m")
+        record = read_record(done)
+        found: dict[str, Any] = {"status": record.status, "frames": record.frames.tracked}
+        found["ate_rmse_m"] = record.number("ate_rmse_m")
         for name in ("trajectory.tum", "map.ply"):
             path = done / name
             found[name] = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None

@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.bench.record import read_record
 from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import execute
 from panobench.datasets.trajectory_io import write_tum
 from panobench.errors import PanobenchError
@@ -241,12 +241,11 @@ def inflict(fault: Fault, method: str, width: int = 128, frames: int = 21, depth
             depth=depth if method == "panogs" else None,
         )  # fmt: skip
         try:
-            run = read_run_json(execute(request, work / "run"))
+            run = read_record(execute(request, work / "run"))
         except PanobenchError as error:
             assert not (work / "run").exists()
             return Outcome("refused", str(error).replace(str(work), ""))
-        metrics = run["metrics"]
-        return Outcome(run["status"], run["message"], metrics["tracked"], metrics["ate_rmse_m"])
+        return Outcome(run.status, run.message, run.number("tracked"), run.number("ate_rmse_m"))
     finally:
         shutil.rmtree(work)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import enum
 import errno
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from panobench.errors import OutputError
 
@@ -41,6 +44,24 @@ def writing(path: Path, again: str = AGAIN, denied: str = "") -> Iterator[None]:
             raise disk_full(path, again) from error
         hint = f"; {denied}" if denied else ""
         raise OutputError(f"{path}: cannot be written ({error.strerror or error}){hint}") from error
+
+
+def json_ready(value: Any) -> Any:
+    """A copy that JSON can hold: enums by value, arrays and tuples as lists, what JSON has no word for as text.
+
+    Numbers that are not finite become None.
+    """
+    if isinstance(value, enum.Enum):
+        return json_ready(value.value)
+    if isinstance(value, Mapping):
+        return {str(k): json_ready(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [json_ready(v) for v in value]
+    if hasattr(value, "tolist"):
+        return json_ready(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, (bool, int, float, str)) else str(value)
 
 
 def write_whole(path: Path, data: bytes | str) -> None:

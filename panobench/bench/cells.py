@@ -13,7 +13,7 @@ from panobench.bench.config import config_values, method_config
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
 from panobench.bench.opening import DEFAULT_DEPTH, check_kind, method_spec, open_input
 from panobench.bench.outside import outside_files
-from panobench.bench.request import RunRequest, run_options
+from panobench.bench.request import RunRequest, run_options, run_words
 from panobench.errors import DatasetError, InputError, OutputError, PanobenchError, UnknownNameError, UsageError
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.plugins import registry
@@ -55,21 +55,9 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """For people: method[preset, settings] camera, further options, dataset/sequence seed, without defaults."""
-        r = self.request
-        chosen = [r.preset] if r.preset else []
-        chosen += [f"{k}={v}" for k, v in r.settings.items()]
-        method = f"{r.method}[{', '.join(chosen)}]" if chosen else r.method
-        further = [
-            option.words(value)
-            for option in run_options()
-            if option.label is not None
-            and option.name not in ("preset", "settings", "camera")
-            and (value := getattr(r, option.name)) not in (None, "", option.default)
-        ]
-        place = f"{r.dataset}/{r.sequence}" if r.sequence else r.dataset
-        words = [method, r.camera, *further, place, f"seed {r.seed}"]
-        return " ".join(words + ([f"repeat {self.repeat}"] if self.repeat else []))
+        """For people: what ``run_words`` says, and the seed."""
+        repeat = [f"repeat {self.repeat}"] if self.repeat else []
+        return " ".join([*run_words(self.request.to_dict()), f"seed {self.request.seed}", *repeat])
 
     @property
     def slug(self) -> str:

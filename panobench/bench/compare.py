@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from panobench.bench.request import run_options
-from panobench.bench.runfolder import RUN_JSON, read_run_json
+from panobench.bench.record import RunRecord, read_record
+from panobench.bench.request import run_options, run_words
+from panobench.bench.runfolder import RUN_JSON, folders_with
 from panobench.bench.statistics import Change, change
 from panobench.errors import InputError, UnknownNameError, UsageError
 
@@ -33,8 +34,6 @@ NAMES = {
     "memory": "peak_rss_bytes",
 }
 _RULE = re.compile(r"\s*(any:)?\s*([a-z_0-9]+)\s*([<>])\s*([0-9.]+(?:e-?[0-9]+)?)\s*(%?)\s*$")
-#: Beyond it sums and squares overflow; nothing that is measured comes near.
-_LARGEST = 1e100
 
 
 @dataclass(frozen=True)
@@ -77,22 +76,15 @@ class Group:
     """Runs of one cell, seeds and repeats joined."""
 
     label: str
-    runs: list[dict[str, Any]] = field(default_factory=list)
+    runs: list[RunRecord] = field(default_factory=list)
 
     @property
-    def failed(self) -> list[dict[str, Any]]:
-        return [r for r in self.runs if r["status"] != "ok"]
+    def failed(self) -> list[RunRecord]:
+        return [r for r in self.runs if not r.ok]
 
     def numbers(self, key: str) -> list[float]:
         """Of the repeats that went well and have the number."""
-        found = []
-        for run in self.runs:
-            value = {**_mapping(run.get("metrics")), **_mapping(run.get("timing"))}.get(key)
-            if run["status"] != "ok" or not isinstance(value, (int, float)) or isinstance(value, bool):
-                continue
-            if abs(value) <= _LARGEST:
-                found.append(float(value))
-        return found
+        return [value for run in self.runs if run.ok and (value := run.number(key)) is not None]
 
 
 @dataclass(frozen=True)
@@ -126,34 +118,26 @@ class Comparison:
         return [text for text in dict.fromkeys(v.rule.text for v in self.verdicts) if text not in judged]
 
 
-def load_runs(path: Path) -> list[dict[str, Any]]:
+def load_runs(path: Path) -> list[RunRecord]:
     """Every run.json at or below ``path``, hidden and _folders left out. Raises InputError if damaged or none."""
-    return [read_run_json(folder) for folder in run_folders(path)]
+    return [read_record(folder) for folder in run_folders(path)]
 
 
 def run_folders(path: Path) -> list[Path]:
     """Run folders at or below ``path``, sorted. Raises InputError when there is none."""
     if not path.exists():
         raise InputError("no such file or folder", path)
-    folders = sorted(_run_folders(path))
+    folders = folders_with(RUN_JSON, path) if path.is_dir() else []
     if not folders:
         raise InputError("no run.json here or below", path)
     return folders
 
 
-def _run_folders(path: Path) -> Iterable[Path]:
-    if (path / RUN_JSON).is_file():
-        yield path
-    elif path.is_dir():
-        for child in path.iterdir():
-            if not child.name.startswith((".", "_")):
-                yield from _run_folders(child)
-
-
-def compare(base: list[dict[str, Any]], new: list[dict[str, Any]], rules: Iterable[Rule]) -> Comparison:
+def compare(base: list[RunRecord], new: list[RunRecord], rules: Iterable[Rule]) -> Comparison:
     """Raises InputError when no cell is on both sides."""
-    with_method = _methods(base) & _methods(new) or len(_methods(base)) > 1 or len(_methods(new)) > 1
-    left, right = _groups(base, bool(with_method)), _groups(new, bool(with_method))
+    with_method = bool(_methods(base) & _methods(new)) or len(_methods(base)) > 1 or len(_methods(new)) > 1
+    depths = _depths([*base, *new], with_method)
+    left, right = _groups(base, with_method, depths), _groups(new, with_method, depths)
     both = [key for key in left if key in right]
     if not both:
         raise InputError("the two sets of runs have no cell in common (same method, options and sequence)")
@@ -177,21 +161,40 @@ def _judge(rule: Rule, cells: list[tuple[str, Group, Group]]) -> list[Verdict]:
     return [Verdict(rule, label, c, c is not None and rule.exceeded(c)) for label, c in found]
 
 
-def _methods(runs: list[dict[str, Any]]) -> set[str]:
-    return {str(_mapping(run.get("spec")).get("method")) for run in runs}
+def _methods(runs: list[RunRecord]) -> set[str]:
+    return {run.spec.method for run in runs}
 
 
-def _groups(runs: list[dict[str, Any]], with_method: bool) -> dict[str, Group]:
-    """Runs by what makes two of them the same cell; seeds and repeats are joined."""
-    options = [o for o in run_options() if o.separates and (with_method or o.name != "method")]
+def _cell(run: RunRecord, with_method: bool) -> dict[str, Any]:
+    """The options that make two runs the same cell; seeds and repeats are joined."""
+    values = {option.name: run.spec.option(option.name) for option in run_options() if option.separates}
+    values |= {"method": run.spec.method if with_method else "", "dataset": run.spec.dataset}
+    return {**values, "sequence": run.spec.sequence}
+
+
+def _key(values: Mapping[str, Any]) -> str:
+    return json.dumps(values, sort_keys=True, default=str)
+
+
+def _depths(runs: list[RunRecord], with_method: bool) -> dict[str, set[str]]:
+    """The depth estimators that took effect, by the key of the other options."""
+    found: dict[str, set[str]] = {}
+    for run in runs:
+        values = _cell(run, with_method)
+        depth = values.pop("depth")
+        if depth is not None:
+            found.setdefault(_key(values), set()).add(str(depth))
+    return found
+
+
+def _groups(runs: list[RunRecord], with_method: bool, depths: Mapping[str, set[str]]) -> dict[str, Group]:
+    """A run that failed before it chose a depth estimator belongs to the cell that is otherwise the same."""
     groups: dict[str, Group] = {}
     for run in runs:
-        spec = _mapping(run.get("spec"))
-        key = json.dumps([spec.get(o.name, o.default) for o in options], sort_keys=True, default=str)
-        label = " ".join(str(spec[n]) for n in ("method", "preset", "camera", "dataset", "sequence") if spec.get(n))
-        groups.setdefault(key, Group(label)).runs.append(run)
+        values = _cell(run, with_method)
+        if values["depth"] is None and not run.ok:
+            others = depths.get(_key({k: v for k, v in values.items() if k != "depth"}), set())
+            values["depth"] = next(iter(others)) if len(others) == 1 else None
+        label = " ".join(run_words({**values, "method": run.spec.method}))
+        groups.setdefault(_key(values), Group(label)).runs.append(run)
     return groups
-
-
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, Mapping) else {}

@@ -13,6 +13,7 @@ from typing import Any
 from panobench.errors import UnknownNameError, UsageError
 from panobench.options import OptionError, is_stage, nearest_options, option_names, type_words
 from panobench.specs import MethodSpec, load_object
+from panobench.writing import json_ready
 
 _TRUE, _FALSE = ("true", "yes", "on", "1"), ("false", "no", "off", "0")
 _NONE = ("none", "null", "")
@@ -98,20 +99,7 @@ def _override(config: Any, values: Mapping[str, Any], names: _Names, prefix: str
 
 def config_values(config: Any) -> dict[str, Any]:
     """The complete configuration as JSON-ready values."""
-    return {} if config is None else plain(dataclasses.asdict(config))
-
-
-def plain(value: Any) -> Any:
-    """JSON-ready copy: enums by value, paths and unknown objects as text, tuples as lists."""
-    if isinstance(value, enum.Enum):
-        return value.value
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        return [plain(v) for v in value]
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    return value.item() if hasattr(value, "item") else str(value)
+    return {} if config is None else json_ready(dataclasses.asdict(config))
 
 
 def coerce(value: Any, hint: Any, key: str) -> Any:

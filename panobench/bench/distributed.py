@@ -18,6 +18,7 @@ from typing import Any
 
 from panobench.bench.cells import Cell, Planned, Planner
 from panobench.bench.isolated import InfrastructureError, Interrupted, Stopper, run_isolated
+from panobench.bench.record import CellRecord
 from panobench.bench.suite import compute
 from panobench.errors import InputError, UnavailableError, UsageError
 from panobench.writing import writing
@@ -68,15 +69,17 @@ class DaskCompute:
     def __call__(self, planned: Planned, suite: str, place: Path, stopper: Stopper) -> Path:
         return compute(planned, suite, place, stopper, run=self._run_for(planned))
 
-    def _run_for(self, planned: Planned) -> Callable[[Cell, dict[str, Any], Path, Stopper], Path]:
+    def _run_for(self, planned: Planned) -> Callable[[Cell, CellRecord, Path, Stopper], Path]:
         """``run_isolated`` on a worker."""
 
-        def run(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stopper) -> Path:
+        def run(cell: Cell, entry: CellRecord, place: Path, stopper: Stopper) -> Path:
             from concurrent.futures import CancelledError
 
             from distributed.scheduler import KilledWorker
 
-            future = self.client.submit(run_remotely, cell.to_dict(), planned.key, entry, pure=False, retries=0)
+            future = self.client.submit(
+                run_remotely, cell.to_dict(), planned.key, entry.to_dict(), pure=False, retries=0
+            )
             with stopper.watching(future.cancel):
                 try:
                     archive = future.result()
@@ -109,7 +112,7 @@ def run_remotely(values: dict[str, Any], key: str, entry: dict[str, Any]) -> byt
         place.mkdir()
         stopper = Stopper()
         with _watch_task(stopper):
-            return pack(run_isolated(cell, entry, place, stopper))
+            return pack(run_isolated(cell, CellRecord.from_dict(entry), place, stopper))
 
 
 class _watch_task:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,84 +12,78 @@ import numpy as np
 from panobench.bench.config import config_values
 from panobench.bench.evaluate import Scores
 from panobench.bench.opening import Opened
-from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import (
-    FRAMES,
-    GROUNDTRUTH,
-    MAP,
-    RENDERS,
-    RUN_JSON,
-    SCHEMA,
-    TRAJECTORY,
-    write_frames,
-    write_json,
+from panobench.bench.provenance import ProvenanceRecord
+from panobench.bench.record import (
+    DepthRecord,
+    FramesRecord,
+    MapRecord,
+    MethodRecord,
+    RunRecord,
+    SpecRecord,
+    TimingRecord,
+    write_record,
 )
+from panobench.bench.request import RunRequest
+from panobench.bench.runfolder import FRAMES, GROUNDTRUTH, MAP, RENDERS, TRAJECTORY, write_frames
 from panobench.bench.tracking import Tracked, frame_indices
 from panobench.errors import PanobenchError
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.types import DepthEstimate
 
 
-def run_document(
+def run_record(
     request: RunRequest,
     opened: Opened,
     tracked: Tracked,
     holdout: list[int],
     scores: Scores,
-    resources: dict[str, Any],
-    origin: dict[str, Any],
-) -> dict[str, Any]:
-    """The content of run.json (the map's entry is added when the map is written)."""
+    timing: TimingRecord,
+    origin: ProvenanceRecord,
+) -> RunRecord:
+    """What is known of a run (the map's entry is added when the map is written)."""
     estimate, sequence = tracked.estimate, opened.sequence
     assert estimate is not None
     used_depth = opened.depth is not None and (opened.depth.made > 0 or opened.depth.chosen)
-    return {
-        "schema": SCHEMA,
-        "status": scores.status.value,
-        "message": scores.message,
-        "origin": "measured",
-        "spec": {
-            **request.to_dict(),
-            "sequence": sequence.name,
-            "depth": opened.depth.label if used_depth and opened.depth else None,
-            "config": config_values(opened.config),
-            "camera_model": sequence.camera.to_dict(),
-        },
-        "method": {
-            "name": opened.spec.name,
-            "origin": opened.origin,
-            "contract": opened.spec.contract,
-            "licence": opened.spec.licence,
-            "citation": opened.spec.citation,
-            "needs": list(opened.spec.needs),
-        },
-        "protocol": PROTOCOL_VERSION,
-        "metric": bool(estimate.metric),
-        "metrics": scores.metrics,
-        "notes": scores.notes,
-        "timing": timing(tracked, resources, scores.evaluation_s),
-        "frames": {
-            "given": tracked.given,
-            "planned": len(sequence),
-            "tracked": len(estimate.trajectory),
-            "held_out": len([i for i in holdout if i < tracked.given]),
-        },
-        "keyframes": estimate.keyframes,
-        "depth": _depth_entry(opened, estimate.depth),
-        "groundtruth": sequence.groundtruth is not None,
-        "remarks": sequence.remarks(),
-        "extra": estimate.extra,
-        "provenance": {
-            **origin,
-            "dataset": sequence.provenance(),
-            "command": shlex.join(request.command()),
-            "seed": request.seed,
-        },
-    }
+    return RunRecord(
+        status=scores.status.value,
+        message=scores.message,
+        spec=SpecRecord.of(
+            request,
+            sequence=sequence.name,
+            depth=opened.depth.label if used_depth and opened.depth else None,
+            config=config_values(opened.config),
+            camera_model=sequence.camera.to_dict(),
+        ),
+        method=MethodRecord(
+            name=opened.spec.name,
+            origin=opened.origin,
+            contract=opened.spec.contract,
+            licence=opened.spec.licence,
+            citation=opened.spec.citation,
+            needs=list(opened.spec.needs),
+        ),
+        protocol=PROTOCOL_VERSION,
+        metric=bool(estimate.metric),
+        metrics=scores.metrics,
+        notes=scores.notes,
+        timing=timing,
+        frames=FramesRecord(
+            given=tracked.given,
+            planned=len(sequence),
+            tracked=len(estimate.trajectory),
+            held_out=len([i for i in holdout if i < tracked.given]),
+        ),
+        keyframes=list(estimate.keyframes),
+        depth=_depth_record(opened, estimate.depth),
+        groundtruth=sequence.groundtruth is not None,
+        remarks=sequence.remarks(),
+        extra=dict(estimate.extra),
+        provenance=replace(origin, dataset=sequence.provenance(), command=shlex.join(request.command())),
+    )
 
 
-def timing(tracked: Tracked, resources: dict[str, Any], evaluation_s: float) -> dict[str, Any]:
-    """Seconds and rates of the method alone; see docs/protocol.md."""
+def timing_record(tracked: Tracked, evaluation_s: float) -> TimingRecord:
+    """Seconds and rates of the method alone; see docs/protocol.md. The resources it used are left open."""
     busy = sum(tracked.latency) + tracked.finish_s
     assert tracked.estimate is not None
     rows = tracked.estimate.frames
@@ -96,39 +91,38 @@ def timing(tracked: Tracked, resources: dict[str, Any], evaluation_s: float) -> 
     # A method need not time the frames its map starts from; with fewer numbers than this, ours are fairer.
     tracking = own if len(own) >= 0.9 * tracked.given else tracked.latency
     p50, p95 = np.percentile(tracked.latency, [50, 95]) if tracked.latency else (None, None)
-    return {
-        "fps": tracked.given / busy if tracked.given and busy > 0 else None,
-        "tracking_fps": len(tracking) / sum(tracking) if tracking and sum(tracking) > 0 else None,
-        "latency_p50_s": p50,
-        "latency_p95_s": p95,
-        "start_s": tracked.start_s,
-        "finish_s": tracked.finish_s,
-        "wall_s": tracked.wall_s,
-        "evaluation_s": evaluation_s,
-        **resources,
-    }
+    return TimingRecord(
+        fps=tracked.given / busy if tracked.given and busy > 0 else None,
+        tracking_fps=len(tracking) / sum(tracking) if tracking and sum(tracking) > 0 else None,
+        latency_p50_s=p50,
+        latency_p95_s=p95,
+        start_s=tracked.start_s,
+        finish_s=tracked.finish_s,
+        wall_s=tracked.wall_s,
+        evaluation_s=evaluation_s,
+    )
 
 
-def _depth_entry(opened: Opened, estimate: DepthEstimate | None) -> dict[str, Any]:
+def _depth_record(opened: Opened, estimate: DepthEstimate | None) -> DepthRecord:
     """Where the map's first depth came from; a dataset's own depth is flagged."""
     choice = opened.depth
     needs_depth = "depth" in opened.spec.needs
-    entry: dict[str, Any] = {
-        "source": choice.label if choice and choice.made else ("input" if needs_depth else None),
-        "oracle": bool(needs_depth or (choice and choice.made and choice.spec.needs_dataset_depth)),
-        "poses_given": "poses" in opened.spec.needs,
-    }
+    record = DepthRecord(
+        source=choice.label if choice and choice.made else ("input" if needs_depth else None),
+        oracle=bool(needs_depth or (choice and choice.made and choice.spec.needs_dataset_depth)),
+        poses_given="poses" in opened.spec.needs,
+    )
     if estimate is not None:
-        entry |= {"frame": estimate.frame_index, "ok": estimate.ok, "message": estimate.message}
+        record.frame, record.ok, record.message = estimate.frame_index, estimate.ok, estimate.message
         known = estimate.depth[np.isfinite(estimate.depth)]
         if len(known):
             low, high = np.percentile(known, [2, 98])
-            entry["range"] = [float(low), float(high)]
-    return entry
+            record.range = [float(low), float(high)]
+    return record
 
 
-def write_run(folder: Path, document: dict[str, Any], opened: Opened, tracked: Tracked, holdout: list[int]) -> None:
-    """Write everything but log.txt and renders below ``folder``; run.json last."""
+def write_run(folder: Path, record: RunRecord, opened: Opened, tracked: Tracked, holdout: list[int]) -> None:
+    """Write everything but log.txt and renders below ``folder``; run.json last. Fills in ``record.map``."""
     from panobench.datasets.trajectory_io import write_tum
 
     estimate, sequence = tracked.estimate, opened.sequence
@@ -138,17 +132,15 @@ def write_run(folder: Path, document: dict[str, Any], opened: Opened, tracked: T
     if truth is not None:
         write_tum(folder / GROUNDTRUTH, truth)
     write_frames(folder / FRAMES, frame_rows(opened, tracked, frozenset(holdout)))
-    document["map"] = None
     if estimate.map is not None:
         try:
             estimate.map.write_ply(folder / MAP)
-            size = (folder / MAP).stat().st_size
-            document["map"] = {"file": MAP, "gaussians": len(estimate.map), "bytes": size}
+            record.map = MapRecord(MAP, len(estimate.map), (folder / MAP).stat().st_size)
         except PanobenchError as error:
-            document["notes"]["map"] = str(error)
+            record.notes["map"] = str(error)
     if estimate.depth is not None:
         write_depth(folder / RENDERS, estimate.depth)
-    write_json(folder / RUN_JSON, document)
+    write_record(folder, record)
 
 
 def frame_rows(opened: Opened, tracked: Tracked, holdout: frozenset[int]) -> list[dict[str, Any]]:

@@ -6,27 +6,13 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from panobench.bench.record import METRIC_NAMES
 from panobench.errors import PanobenchError
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED, MetricInput
 from panobench.plugins import registry
 from panobench.specs import MetricSpec
 from panobench.types import RunStatus
 from panobench.writing import is_disk_full
-
-#: Names others rely on in run.json: there in every run, null where not measured.
-NAMES = (
-    "ate_rmse_m",
-    "ate_keyframes_rmse_m",
-    "rpe_trans_rmse_m",
-    "tracked",
-    "psnr_db",
-    "ssim",
-    "lpips",
-    "pano_psnr_db",
-    "ws_psnr_db",
-    "holdout_psnr_db",
-    "novel_psnr_db",
-)
 
 
 @dataclass
@@ -47,7 +33,7 @@ def evaluate(data: MetricInput, status: RunStatus, message: str, log: Callable[[
     the run could not be stored.
     """
     begin = time.perf_counter()
-    scores = Scores(status, message, dict.fromkeys(NAMES))
+    scores = Scores(status, message, dict.fromkeys(METRIC_NAMES))
     scored = status in (RunStatus.OK, RunStatus.INTERRUPTED)
     try:
         for spec in registry().specs(MetricSpec).values() if scored else ():

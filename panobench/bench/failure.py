@@ -6,11 +6,10 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from panobench.bench.evaluate import NAMES
 from panobench.bench.provenance import provenance
+from panobench.bench.record import CellRecord, TimingRecord, empty_record, write_record
 from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import FRAMES, LOG, RUN_JSON, SCHEMA, TRAJECTORY, PendingRun, write_frames, write_json
-from panobench.metrics.base import PROTOCOL_VERSION
+from panobench.bench.runfolder import FRAMES, LOG, TRAJECTORY, PendingRun, write_frames
 from panobench.types import RunStatus
 
 #: Of each log that is kept.
@@ -24,39 +23,21 @@ def write_failure(
     message: str,
     *,
     log: str = "",
-    timing: dict[str, Any] | None = None,
-    extra: dict[str, Any] | None = None,
+    timing: TimingRecord | None = None,
+    cell: CellRecord | None = None,
+    isolation: dict[str, Any] | None = None,
 ) -> Path:
     """A complete run folder without results at ``out``."""
+    record = empty_record(request, status, message)
+    record.provenance = provenance()
+    record.provenance.command = shlex.join(request.command())
+    record.timing = timing or record.timing
+    record.cell, record.isolation = cell, isolation
     with PendingRun(out) as pending:
         (pending.path / LOG).write_text(log + f"\n{status.value}: {message}\n", encoding="utf-8")
         (pending.path / TRAJECTORY).write_text("# time x y z qx qy qz qw (camera-to-world)\n", encoding="utf-8")
         write_frames(pending.path / FRAMES, [])
-        document = {
-            "schema": SCHEMA,
-            "status": status.value,
-            "message": " ".join(message.split()),
-            "origin": "measured",
-            "spec": {**request.to_dict(), "config": {}, "camera_model": None},
-            "method": {"name": request.method},
-            "protocol": PROTOCOL_VERSION,
-            "metric": False,
-            "metrics": {**dict.fromkeys(NAMES), "tracked": 0.0},
-            "notes": {},
-            "timing": {
-                **dict.fromkeys(("fps", "tracking_fps", "latency_p50_s", "latency_p95_s", "wall_s", "peak_rss_bytes")),
-                **(timing or {}),
-            },
-            "frames": {"given": 0, "planned": None, "tracked": 0, "held_out": 0},
-            "keyframes": [],
-            "depth": {"source": None, "oracle": False, "poses_given": False},
-            "groundtruth": False,
-            "extra": {},
-            "provenance": {**provenance(), "dataset": {}, "command": shlex.join(request.command())},
-            "map": None,
-            **(extra or {}),
-        }
-        write_json(pending.path / RUN_JSON, document)
+        write_record(pending.path, record)
         return pending.publish()
 
 

@@ -12,11 +12,11 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from panobench.bench.cells import Cell
 from panobench.bench.failure import tail, write_failure
-from panobench.bench.runfolder import LOG, RUN_JSON, read_run_json, write_json
+from panobench.bench.record import CellRecord, TimingRecord, read_record, replace_record
+from panobench.bench.runfolder import LOG, RUN_JSON
 from panobench.bench.supervisor import Result
 from panobench.bench.worker import DISK_FULL
 from panobench.errors import InputError, OutputError, PanobenchError
@@ -63,15 +63,15 @@ class Stopper:
             self._actions.remove(action)
 
 
-def run_isolated(cell: Cell, entry: dict[str, Any], place: Path, stopper: Stopper | None = None) -> Path:
-    """Run a cell in an empty folder ``place`` and return the run folder below it; ``entry`` becomes "cell" in run.json.
+def run_isolated(cell: Cell, entry: CellRecord, place: Path, stopper: Stopper | None = None) -> Path:
+    """Run a cell in an empty folder ``place`` and return the run folder below it; ``entry`` goes into its record.
 
     Raises OutputError when the disk is full, InfrastructureError when the supervisor was lost.
     """
     stopper = stopper or Stopper()
     out, job, supervised = place / "run", place / "cell.json", place / "job.json"
     with writing(place):
-        job.write_text(json.dumps({"cell": cell.to_dict(), "entry": entry}), encoding="utf-8")
+        job.write_text(json.dumps({"cell": cell.to_dict(), "entry": entry.to_dict()}), encoding="utf-8")
         supervised.write_text(
             json.dumps(
                 {
@@ -122,19 +122,19 @@ def _read_result(path: Path) -> Result | None:
         return None
 
 
-def _finish(cell: Cell, entry: dict[str, Any], place: Path, out: Path, result: Result) -> Path:
+def _finish(cell: Cell, entry: CellRecord, place: Path, out: Path, result: Result) -> Path:
     """Complete the run folder the worker left, or make one that says why there is none."""
     output = tail(place / "output.txt")
     metering = {k: v for k, v in asdict(result).items() if k not in ("end", "returncode", "oom_kill")}
     whole = result.end in ("exit", "stopped") and (out / RUN_JSON).is_file()
     if whole:
         try:
-            document = read_run_json(out)
+            record = read_record(out)
         except InputError as error:
             raise OutputError(f"{place}: what was written there cannot be read again ({error})") from error
-        document["isolation"] = metering
+        record.isolation = metering
         with writing(place):
-            _replace_json(out / RUN_JSON, document)
+            replace_record(out, record)
             if output.strip():
                 with (out / LOG).open("a", encoding="utf-8") as log:
                     log.write("--- output of the process ---\n" + output)
@@ -142,16 +142,11 @@ def _finish(cell: Cell, entry: dict[str, Any], place: Path, out: Path, result: R
     status, message = judge(result, cell)
     part = next(place.glob(".run.*.part"), None)
     log_text = "\n".join(t for t in (tail(part / LOG) if part else "", output) if t.strip())
-    timing = {"wall_s": result.wall_s, "peak_rss_bytes": result.peak_rss_bytes or None, "cpu_s": result.cpu_s}
+    timing = TimingRecord(wall_s=result.wall_s, peak_rss_bytes=result.peak_rss_bytes or None, cpu_s=result.cpu_s)
     shutil.rmtree(out, ignore_errors=True)
-    extra = {"cell": entry, "isolation": metering}
-    return write_failure(out, cell.request, status, message, log=log_text, timing=timing, extra=extra)
-
-
-def _replace_json(path: Path, document: dict[str, Any]) -> None:
-    part = path.with_suffix(".part")
-    write_json(part, document)
-    os.replace(part, path)
+    return write_failure(
+        out, cell.request, status, message, log=log_text, timing=timing, cell=entry, isolation=metering
+    )
 
 
 def judge(result: Result, cell: Cell) -> tuple[RunStatus, str]:

@@ -8,6 +8,7 @@ import os
 import platform
 import re
 import subprocess
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from typing import Any
 import psutil
 
 import panobench
+from panobench.bench.fields import JsonRecord
 
 #: Variables that change how fast or with how many threads numerical code runs.
 _THREAD_VARIABLES = (
@@ -27,31 +29,60 @@ _THREAD_VARIABLES = (
 )
 
 
-def provenance() -> dict[str, Any]:
-    """Versions, commit, packages, processor, load: JSON-ready."""
-    return {
-        "panobench": panobench.__version__,
-        "commit": commit(),
-        "contract": panobench.CONTRACT_VERSION,
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "packages": packages(),
-        "plugins": plugins(),
-        "machine": machine(),
-        "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
-    }
+@dataclass
+class MachineRecord(JsonRecord):
+    """The machine of a run; see ``machine``."""
+
+    cpu: str = ""
+    cores: int | None = None
+    memory_bytes: int | None = None
+    gpus: list[str] = field(default_factory=list)
+    load_1min: float | None = None
+    threads: dict[str, str] = field(default_factory=dict)
 
 
-def machine() -> dict[str, Any]:
+@dataclass
+class ProvenanceRecord(JsonRecord):
+    """Where a run came from; see ``provenance``. command makes it again; dataset is what it says about its files."""
+
+    panobench: str = ""
+    commit: str | None = None
+    contract: str = ""
+    python: str = ""
+    platform: str = ""
+    packages: dict[str, str | None] = field(default_factory=dict)
+    plugins: dict[str, Any] = field(default_factory=dict)
+    machine: MachineRecord = field(default_factory=MachineRecord)
+    started: str = ""
+    dataset: dict[str, Any] = field(default_factory=dict)
+    command: str = ""
+
+
+def provenance() -> ProvenanceRecord:
+    """Of what runs now: versions, commit, packages, processor, load. The data and the command are left open."""
+    return ProvenanceRecord(
+        panobench=panobench.__version__,
+        commit=commit(),
+        contract=panobench.CONTRACT_VERSION,
+        python=platform.python_version(),
+        platform=platform.platform(),
+        packages=dict(packages()),
+        plugins=dict(plugins()),
+        machine=machine(),
+        started=datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+    )
+
+
+def machine() -> MachineRecord:
     """Processor, cores this process may use, memory, GPU, and how busy the machine was just now."""
-    return {
-        "cpu": cpu_model(),
-        "cores": available_cores(),
-        "memory_bytes": psutil.virtual_memory().total,
-        "gpus": gpus(),
-        "load_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
-        "threads": {name: os.environ[name] for name in _THREAD_VARIABLES if name in os.environ},
-    }
+    return MachineRecord(
+        cpu=cpu_model(),
+        cores=available_cores(),
+        memory_bytes=psutil.virtual_memory().total,
+        gpus=gpus(),
+        load_1min=round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        threads={name: os.environ[name] for name in _THREAD_VARIABLES if name in os.environ},
+    )
 
 
 def available_cores() -> int:

@@ -219,6 +219,23 @@ def _run_options(request: type) -> tuple[RunOption, ...]:
     return tuple(found)
 
 
+def run_words(values: Mapping[str, Any]) -> list[str]:
+    """A run's options in words, without defaults: method[preset, settings], camera, others, dataset/sequence."""
+    settings = values.get("settings") or {}
+    chosen = [values["preset"]] if values.get("preset") else []
+    chosen += [f"{k}={v}" for k, v in settings.items()]
+    method = f"{values['method']}[{', '.join(chosen)}]" if chosen else values["method"]
+    others = [
+        option.words(value)
+        for option in run_options()
+        if option.label is not None
+        and option.name not in ("preset", "settings", "camera")
+        and (value := values.get(option.name)) not in (None, "", option.default)
+    ]
+    place = f"{values['dataset']}/{values['sequence']}" if values.get("sequence") else values["dataset"]
+    return [method, values["camera"], *others, place]
+
+
 def value_text(value: Any) -> str:
     """A value as short text; of settings "a=1, b=2"."""
     if isinstance(value, Mapping):

@@ -9,23 +9,16 @@ from __future__ import annotations
 import csv
 import os
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.bench.evaluate import judge
-from panobench.bench.runfolder import (
-    FRAMES,
-    GROUNDTRUTH,
-    RUN_JSON,
-    TRAJECTORY,
-    PendingRun,
-    read_run_json,
-    write_json,
-)
+from panobench.bench.record import RescoredRecord, RunRecord, read_record, write_record
+from panobench.bench.runfolder import FRAMES, GROUNDTRUTH, RUN_JSON, TRAJECTORY, PendingRun
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.trajectory_io import read_rows, read_tum
 from panobench.errors import InputError, UsageError
@@ -65,6 +58,19 @@ class Protocol:
         ]
         return "+".join([PROTOCOL_VERSION, *changed])
 
+    @classmethod
+    def of(cls, record: RunRecord) -> Protocol:
+        """The protocol that a run was scored under, from its name; what the name does not say is as it is now."""
+        version, *changed = record.protocol.split("+")
+        given = dict(word.partition("=")[::2] for word in changed)
+        # protocol 1.0 kept the scale of methods that say it is metric
+        usual = "se3" if version == "1.0" and record.metric else "auto"
+        alignment: Alignment = next((a for a in ALIGNMENTS if a == given.get("align", usual)), "auto")
+        try:
+            return cls(alignment, skip_s=float(given.get("skip_s", 0)))
+        except (ValueError, UsageError):
+            return cls(alignment)
+
 
 class StoredSequence(FrameSequence):
     """Times and ground truth of a stored run; its images are not kept."""
@@ -80,52 +86,46 @@ class StoredSequence(FrameSequence):
         return self._truth
 
 
-def rescore(folder: Path, protocol: Protocol) -> dict[str, Any]:
-    """The run's document with new trajectory numbers and status. Raises InputError for a folder it cannot use."""
+def rescore(folder: Path, protocol: Protocol) -> RunRecord:
+    """The run's record with new trajectory numbers and status. Raises InputError for a folder it cannot use."""
     from panobench.metrics.trajectory import trajectory_metrics
 
-    document = read_run_json(folder)
-    if document["status"] not in (*_JUDGED, RunStatus.INTERRUPTED.value):
-        return {**document, "protocol": protocol.name}
+    record = read_record(folder)
+    if record.status not in (*_JUDGED, RunStatus.INTERRUPTED.value):
+        return replace(record, protocol=protocol.name)
     times = _frame_times(folder / FRAMES)
     estimate = _optional_tum(folder / TRAJECTORY)
     if len(times) == 0:
         raise InputError("no frames to score", folder / FRAMES)
     given = int((times >= times[0] + protocol.skip_s).sum())
     estimate = estimate.select(np.flatnonzero(estimate.times >= times[0] + protocol.skip_s - 1e-6))
-    keyframes = [int(k) for k in document.get("keyframes") or [] if isinstance(k, int) and 0 <= k < len(times)]
+    keyframes = [k for k in record.keyframes if 0 <= k < len(times)]
     data = MetricInput(
         StoredSequence(times, _optional_tum(folder / GROUNDTRUTH) if (folder / GROUNDTRUTH).is_file() else None),
-        Estimate(estimate, keyframes=keyframes, metric=bool(document.get("metric"))),
+        Estimate(estimate, keyframes=keyframes, metric=record.metric),
         list(range(len(times))),
         alignment=protocol.alignment,
     )
     cleared = dict.fromkeys(_trajectory_keys())
     metrics = {
-        **_mapping(document, "metrics"),
+        **record.metrics,
         **cleared,
         **trajectory_metrics(data),
         "tracked": len(estimate) / given if given else 0.0,
     }
-    status, message = document["status"], document.get("message", "")
+    status, message = record.status, record.message
     if status in _JUDGED:
         found, message = judge(metrics, protocol.min_tracked, protocol.failed_ate_m)
         status = found.value
-    return {
-        **document,
-        "status": status,
-        "message": message,
-        "metrics": metrics,
-        "notes": {**_mapping(document, "notes"), **data.notes},
-        "protocol": protocol.name,
-        "rescored_from": document.get("rescored_from")
-        or {"protocol": document.get("protocol"), "status": document["status"]},
-    }
-
-
-def _mapping(document: dict[str, Any], key: str) -> dict[str, Any]:
-    value = document.get(key)
-    return value if isinstance(value, dict) else {}
+    return replace(
+        record,
+        status=status,
+        message=message,
+        metrics=metrics,
+        notes={**record.notes, **data.notes},
+        protocol=protocol.name,
+        rescored_from=record.rescored_from or RescoredRecord(record.protocol, record.status),
+    )
 
 
 def _trajectory_keys() -> list[str]:
@@ -154,26 +154,15 @@ def _optional_tum(path: Path) -> Trajectory:
     return read_tum(path)
 
 
-def write_copy(folder: Path, document: dict[str, Any], target: Path) -> Path:
-    """A run folder at ``target`` with the new document; the other files are hard links where possible."""
+def write_copy(folder: Path, record: RunRecord, target: Path) -> Path:
+    """A run folder at ``target`` with the new record; the other files are hard links where possible."""
     with PendingRun(target) as pending:
         with writing(target):
             for source in sorted(folder.rglob("*")):
                 _copy(source, pending.path / source.relative_to(folder))
             (pending.path / RUN_JSON).unlink()
-            write_json(pending.path / RUN_JSON, document)
+            write_record(pending.path, record)
         return pending.publish()
-
-
-def write_in_place(folder: Path, document: dict[str, Any]) -> None:
-    """Replace run.json by a rename: a reader sees the old or the new one."""
-    part = folder / f".{RUN_JSON}.{os.getpid()}.part"
-    try:
-        with writing(folder):
-            write_json(part, document)
-            os.replace(part, folder / RUN_JSON)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import os
 import shutil
 import uuid
@@ -17,7 +16,7 @@ import psutil
 
 from panobench.errors import InputError, PanobenchError, UsageError
 from panobench.reading import parse_json, read_text
-from panobench.writing import disk_full, is_disk_full, writing
+from panobench.writing import disk_full, is_disk_full, json_ready, writing
 
 SCHEMA = 1
 RUN_JSON, LOG, TRAJECTORY, GROUNDTRUTH, FRAMES, MAP = (
@@ -130,24 +129,20 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
+def folders_with(name: str, path: Path) -> list[Path]:
+    """Folders that hold a file ``name``, at or below ``path``, in order; those named .x and _x are not entered."""
+    if (path / name).is_file():
+        return [path]
+    found: list[Path] = []
+    for child in sorted(p for p in path.iterdir() if p.is_dir()):
+        if not child.name.startswith((".", "_")):
+            found.extend(folders_with(name, child))
+    return found
+
+
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """Strict JSON: NaN and infinity become null."""
-    path.write_text(json.dumps(finite(document), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def finite(value: Any) -> Any:
-    """A JSON-ready copy where numbers that JSON cannot hold are None."""
-    if isinstance(value, Mapping):
-        return {str(k): finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(v) for v in value]
-    if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    return value.tolist() if hasattr(value, "tolist") else str(value)
+    path.write_text(json.dumps(json_ready(document), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_run_json(folder: Path) -> dict[str, Any]:

@@ -14,12 +14,13 @@ from typing import Any, TextIO
 import numpy as np
 
 from panobench.bench.blas import one_blas_thread
-from panobench.bench.document import run_document, write_run
+from panobench.bench.document import run_record, timing_record, write_run
 from panobench.bench.evaluate import Scores, evaluate
 from panobench.bench.memory import Meter
 from panobench.bench.observer import Observer
 from panobench.bench.opening import Opened, open_run, oracle_depth
 from panobench.bench.provenance import provenance
+from panobench.bench.record import CellRecord, RunRecord
 from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
 from panobench.bench.tracking import Pose, Tracked, track_batch, track_online
@@ -65,9 +66,9 @@ def execute(
     *,
     force: bool = False,
     observer: Observer | None = None,
-    extra: dict[str, Any] | None = None,
+    cell: CellRecord | None = None,
 ) -> Path:
-    """Run and return the run folder, whatever the method did; ``extra`` joins run.json.
+    """Run and return the run folder, whatever the method did. cell: the suite's cell that it is the result of.
 
     Raises PanobenchError for what the user can mend (names, options, data); nothing is written then.
     """
@@ -78,15 +79,20 @@ def execute(
     opened = open_run(request)
     with PendingRun(target, force) as pending:
         with (pending.path / LOG).open("w", encoding="utf-8") as file:
-            document = _run(request, opened, pending.path, RunLog(file, observer.log), observer, extra or {})
+            record = _run(request, opened, pending.path, RunLog(file, observer.log), observer, cell)
         folder = pending.publish()
-    _call_hooks("run_finished", None, folder=folder, run=document)
+    _call_hooks("run_finished", None, folder=folder, run=record.to_dict())
     return folder
 
 
 def _run(
-    request: RunRequest, opened: Opened, folder: Path, log: RunLog, observer: Observer, extra: dict[str, Any]
-) -> dict[str, Any]:
+    request: RunRequest,
+    opened: Opened,
+    folder: Path,
+    log: RunLog,
+    observer: Observer,
+    cell: CellRecord | None,
+) -> RunRecord:
     origin = provenance()
     spec = request.to_dict()
     _call_hooks("run_started", log, spec=spec, sequence=opened.sequence)
@@ -103,14 +109,16 @@ def _run(
         log(tracked.failure)
     scores = _score(opened, tracked, holdout, folder / RENDERS, log, observer)
     log(f"{scores.status.value}: {scores.message}" if scores.message else scores.status.value)
-    resources = {"peak_rss_bytes": meter.peak_rss_bytes, "cpu_s": cpu_s}
-    document = {**run_document(request, opened, tracked, holdout, scores, resources, origin), **extra}
-    for remark in document["remarks"]:
+    timing = timing_record(tracked, scores.evaluation_s)
+    timing.peak_rss_bytes, timing.cpu_s = meter.peak_rss_bytes, cpu_s
+    record = run_record(request, opened, tracked, holdout, scores, timing, origin)
+    record.cell = cell
+    for remark in record.remarks:
         if remark not in said:
             log(f"note: {remark}")
     observer.stage("writing")
-    write_run(folder, document, opened, tracked, holdout)
-    return document
+    write_run(folder, record, opened, tracked, holdout)
+    return record
 
 
 def _track(

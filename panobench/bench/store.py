@@ -18,10 +18,10 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from panobench.bench.cells import Cell, Planned
-from panobench.bench.runfolder import RUN_JSON, read_run_json
+from panobench.bench.record import RunRecord, read_record
+from panobench.bench.runfolder import RUN_JSON
 from panobench.errors import InputError
 from panobench.writing import writing
 
@@ -35,21 +35,20 @@ class Stored:
     """A readable run folder of the store; ``stamp`` tells it from another one in the same place."""
 
     folder: Path
-    document: dict[str, Any]
+    record: RunRecord
     stamp: tuple[int, int] = (0, 0)
 
     @property
     def key(self) -> str:
-        return str(_cell_entry(self.document).get("key", ""))
+        return self.record.cell.key if self.record.cell else ""
 
     @property
     def status(self) -> str:
-        return str(self.document["status"])
+        return self.record.status
 
     @property
-    def limits(self) -> Mapping[str, Any]:
-        limits = _cell_entry(self.document).get("limits")
-        return limits if isinstance(limits, Mapping) else {}
+    def limits(self) -> Mapping[str, float]:
+        return self.record.cell.limits if self.record.cell else {}
 
 
 def _stamp(folder: Path) -> tuple[int, int]:
@@ -58,11 +57,6 @@ def _stamp(folder: Path) -> tuple[int, int]:
     except OSError:
         return 0, 0
     return about.st_ino, about.st_mtime_ns
-
-
-def _cell_entry(document: Mapping[str, Any]) -> Mapping[str, Any]:
-    entry = document.get("cell")
-    return entry if isinstance(entry, Mapping) else {}
 
 
 @dataclass(frozen=True)
@@ -95,11 +89,10 @@ class Store:
         if not folder.exists():
             return None
         stamp = _stamp(folder)
-        document = read_run_json(folder)
-        identity = _cell_entry(document).get("identity")
-        if identity != cell.identity:
+        record = read_record(folder)
+        if record.cell is None or record.cell.identity != cell.identity:
             raise InputError("it belongs to another cell than its folder's name says", folder / "run.json")
-        return Stored(folder, document, stamp)
+        return Stored(folder, record, stamp)
 
     def check(self, cell: Cell, move: bool = True) -> tuple[Stored | None, Quarantined | None]:
         """The stored result; a damaged one is reported, and moved to the quarantine if ``move``."""
@@ -114,7 +107,7 @@ class Store:
         found, damaged = [], []
         for folder in sorted(p for p in (self.root / RUNS).iterdir() if p.is_dir() and not p.name.startswith(".")):
             try:
-                found.append(Stored(folder, read_run_json(folder), _stamp(folder)))
+                found.append(Stored(folder, read_record(folder), _stamp(folder)))
             except InputError as error:
                 damaged.append(Quarantined(folder, str(error)))
         return found, damaged
@@ -168,13 +161,13 @@ class Store:
     def put(self, planned: Planned, folder: Path) -> Stored:
         """Move a complete run folder (in the store's file system) into the cell's place. Hold the cell's lock."""
         target = self.folder(planned.cell)
-        document = read_run_json(folder)
+        record = read_record(folder)
         with writing(self.root):
             if target.exists():
                 os.rename(target, self._aside(SUPERSEDED, target.name))
                 self._forget_old(target.name)
             os.rename(folder, target)
-        return Stored(target, document, _stamp(target))
+        return Stored(target, record, _stamp(target))
 
     def _aside(self, kind: str, name: str) -> Path:
         """A free folder name below _quarantine or _superseded."""

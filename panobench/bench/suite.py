@@ -16,6 +16,7 @@ from typing import Any, Protocol
 from panobench.bench.cells import Cell, Planned, Planner
 from panobench.bench.failure import write_failure
 from panobench.bench.isolated import InfrastructureError, Interrupted, Stopper, run_isolated
+from panobench.bench.record import CellRecord
 from panobench.bench.store import Quarantined, Store, Stored
 from panobench.errors import UnknownNameError
 from panobench.types import RunStatus
@@ -119,27 +120,15 @@ def why_run(planned: Planned, stored: Stored | None, retry: frozenset[str]) -> s
         ("timeout", "timeout_s", limits.timeout_s),
         ("out-of-memory", "memory_gib", limits.memory_gib),
     ):
-        if stored.status == status and _number(stored.limits.get(name)) < limit:
+        if stored.status == status and stored.limits.get(name, 0.0) < limit:
             return f"its limit {name} was raised"
     return ""
 
 
-def _number(value: Any) -> float:
-    return float(value) if isinstance(value, (int, float)) else 0.0
-
-
-def entry(planned: Planned, suite: str, attempt: int = 1) -> dict[str, Any]:
-    """What run.json says about the cell."""
+def entry(planned: Planned, suite: str, attempt: int = 1) -> CellRecord:
+    """What the record of its run says about the cell."""
     cell = planned.cell
-    return {
-        "suite": suite,
-        "key": planned.key,
-        "identity": cell.identity,
-        "label": cell.label,
-        "repeat": cell.repeat,
-        "limits": asdict(cell.limits),
-        "attempt": attempt,
-    }
+    return CellRecord(suite, planned.key, cell.identity, cell.label, cell.repeat, asdict(cell.limits), attempt)
 
 
 def compute(
@@ -147,7 +136,7 @@ def compute(
     suite: str,
     place: Path,
     stopper: Stopper,
-    run: Callable[[Cell, dict[str, Any], Path, Stopper], Path] | None = None,
+    run: Callable[[Cell, CellRecord, Path, Stopper], Path] | None = None,
 ) -> Path:
     """The cell's run folder, somewhere below ``place``: by running it, or by writing down why it cannot run.
 
@@ -155,8 +144,8 @@ def compute(
     """
     run = run or run_isolated
     if planned.status is not None:
-        about = {"cell": entry(planned, suite)}
-        return write_failure(place / "run", planned.cell.request, planned.status, planned.message, extra=about)
+        about = entry(planned, suite)
+        return write_failure(place / "run", planned.cell.request, planned.status, planned.message, cell=about)
     for attempt in range(1, ATTEMPTS + 1):
         there = place / f"attempt-{attempt}"
         with writing(place):
@@ -170,8 +159,8 @@ def compute(
         if stopper.requested:
             break
     message = f"not run to its end: {lost}"
-    about = {"cell": entry(planned, suite, attempt)}
-    return write_failure(place / "run", planned.cell.request, RunStatus.INTERRUPTED, message, extra=about)
+    about = entry(planned, suite, attempt)
+    return write_failure(place / "run", planned.cell.request, RunStatus.INTERRUPTED, message, cell=about)
 
 
 @dataclass

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from panobench.bench.cells import Cell
 from panobench.bench.failure import write_failure
+from panobench.bench.record import CellRecord
 from panobench.bench.runner import execute
 from panobench.errors import InputError, PanobenchError
 from panobench.types import RunStatus
@@ -26,16 +27,16 @@ def work(job: Path, out: Path) -> int:
     """Run the cell described in ``job``; returns the exit code."""
     values = json.loads(job.read_text(encoding="utf-8"))
     cell = Cell.from_dict(values["cell"])
-    extra = {"cell": values["entry"]}
+    entry = CellRecord.from_dict(values["entry"])
     try:
         try:
-            execute(cell.request, out, extra=extra)
+            execute(cell.request, out, cell=entry)
         except PanobenchError as error:
             if is_disk_full(error):
                 return DISK_FULL
             # As in planning: data that cannot be used are as much in the way as a missing package.
             status = RunStatus.UNAVAILABLE if isinstance(error, InputError) else RunStatus(error.run_status)
-            write_failure(out, cell.request, status, str(error), log=str(error), extra=extra)
+            write_failure(out, cell.request, status, str(error), log=str(error), cell=entry)
     except OSError as error:
         if not is_disk_full(error):
             raise

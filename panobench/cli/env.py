@@ -41,14 +41,14 @@ def environment() -> dict[str, Any]:
         known = registry()
     facts = provenance()
     return {
-        "panobench": facts["panobench"],
-        "commit": facts["commit"],
-        "plugin contract": facts["contract"],
-        "python": facts["python"],
-        "platform": facts["platform"],
-        "machine": facts["machine"],
-        "packages": facts["packages"],
-        "plugins": facts["plugins"],
+        "panobench": facts.panobench,
+        "commit": facts.commit,
+        "plugin contract": facts.contract,
+        "python": facts.python,
+        "platform": facts.platform,
+        "machine": facts.machine.to_dict(),
+        "packages": facts.packages,
+        "plugins": facts.plugins,
         "plugins that failed": known.failures,
         "cannot run here": {f"{r.spec.kind} {r.spec.name}": why for r in known.all() if (why := _unavailable(r.spec))},
         "settings": {k: v for k, v in sorted(os.environ.items()) if k.startswith("PANOBENCH_")},

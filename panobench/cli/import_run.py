@@ -16,6 +16,7 @@ from panobench.bench.request import RunRequest, run_options
 from panobench.cli.run_options import with_run_options
 
 if TYPE_CHECKING:
+    from panobench.bench.record import RunRecord
     from panobench.external.imported import ImportOptions
 
 app = typer.Typer()
@@ -40,7 +41,8 @@ def import_run(
     as_json: Annotated[bool, typer.Option("--json", help="Print the run's run.json, and nothing else.")] = False,
 ) -> None:
     """Score a trajectory made elsewhere; the row is marked imported."""
-    from panobench.bench.runfolder import RUN_JSON, read_run_json
+    from panobench.bench.record import read_record
+    from panobench.bench.runfolder import RUN_JSON
     from panobench.cli.run import exit_code, summary
     from panobench.errors import UsageError
     from panobench.external.imported import ImportOptions
@@ -50,14 +52,14 @@ def import_run(
     request = RunRequest(method=name, **given)
     options = ImportOptions(form, inverse, time_offset, max_dt, metric, renders)  # type: ignore[arg-type]
     folder = score_import(trajectory, request, options, out, force=force, citation=citation)
-    document = read_run_json(folder)
+    record = read_record(folder)
     if as_json:
         print((folder / RUN_JSON).read_text(encoding="utf-8"), end="")
     elif not quiet:
-        print(f"imported: {summary(folder, document)}")
-    code = exit_code(document["status"])
+        print(f"imported: {summary(folder, record)}")
+    code = exit_code(record.status)
     if code:
-        typer.echo(f"panobench: {document['status']}: {document['message']}", err=True)
+        typer.echo(f"panobench: {record.status}: {record.message}", err=True)
         raise typer.Exit(code)
 
 
@@ -74,11 +76,12 @@ def score_import(
 
     Raises PanobenchError for a trajectory, renders or a sequence that cannot be used; nothing is written then.
     """
-    from panobench.bench.document import run_document, write_run
+    from panobench.bench.document import run_record, write_run
     from panobench.bench.evaluate import evaluate
     from panobench.bench.observer import Observer
     from panobench.bench.opening import Opened, open_input
     from panobench.bench.provenance import provenance
+    from panobench.bench.record import TimingRecord
     from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
     from panobench.bench.runner import RunLog, default_folder
     from panobench.bench.tracking import track_batch
@@ -111,26 +114,26 @@ def score_import(
                 renders=pending.path / RENDERS if options.renders else None,
             )
             scores = evaluate(data, tracked.status, tracked.message, log)
-            document = run_document(request, opened, tracked, holdout, scores, {}, provenance())
-            write_run(pending.path, _marked(document, trajectory, options), opened, tracked, holdout)
+            timing = TimingRecord(evaluation_s=scores.evaluation_s)  # nothing else was timed here
+            record = run_record(request, opened, tracked, holdout, scores, timing, provenance())
+            _mark(record, trajectory, options)
+            write_run(pending.path, record, opened, tracked, holdout)
         return pending.publish()
 
 
-def _marked(document: dict[str, Any], trajectory: Path, options: ImportOptions) -> dict[str, Any]:
-    """The document of an imported run: nothing in it was timed here."""
+def _mark(record: RunRecord, trajectory: Path, options: ImportOptions) -> None:
+    """Say where the trajectory came from."""
     import hashlib
 
-    measured = ("evaluation_s",)
-    document["origin"] = "imported"
-    document["timing"] = {k: v if k in measured else None for k, v in document["timing"].items()}
-    document["timing"]["peak_rss_bytes"] = None
-    document["imported"] = {
-        "trajectory": trajectory.name,
-        "sha256": hashlib.sha256(trajectory.read_bytes()).hexdigest(),
-        "format": options.form,
-        "inverse": options.inverse,
-        "time_offset_s": options.time_offset,
-        "renders": None if options.renders is None else options.renders.name,
-    }
-    document["provenance"]["command"] = shlex.join(["panobench", *sys.argv[1:]])
-    return document
+    from panobench.bench.record import ImportedRecord
+
+    record.origin = "imported"
+    record.imported = ImportedRecord(
+        trajectory=trajectory.name,
+        sha256=hashlib.sha256(trajectory.read_bytes()).hexdigest(),
+        format=options.form,
+        inverse=options.inverse,
+        time_offset_s=options.time_offset,
+        renders=None if options.renders is None else options.renders.name,
+    )
+    record.provenance.command = shlex.join(["panobench", *sys.argv[1:]])

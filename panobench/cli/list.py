@@ -16,6 +16,7 @@ from panobench.errors import UnavailableError, UnknownNameError
 from panobench.options import OptionDescription, OptionMetadata, describe_options
 from panobench.plugins import Registered, Registry, registry
 from panobench.specs import load_object
+from panobench.writing import json_ready
 
 app = typer.Typer()
 
@@ -49,8 +50,8 @@ def list_command(
             raise UnknownNameError(kind, name, entries)
         entry, options = describe(entries[name], full=True), method_options(entries[name])
         if as_json:
-            listed = {"options": [asdict(o) for o in options]} if kind == "method" else {}
-            print(json.dumps({**entry, **listed}, indent=2, default=str))
+            listed = {"options": json_ready([asdict(o) for o in options])} if kind == "method" else {}
+            print(json.dumps({**entry, **listed}, indent=2))
         else:
             width = shutil.get_terminal_size().columns
             presets = entry.pop("presets", {})
@@ -76,7 +77,7 @@ def describe(entry: Registered, full: bool = False) -> dict[str, Any]:
     for extra in ("cameras", "needs", "presets", "publisher", "needs_dataset_depth", "keys"):
         if hasattr(spec, extra):
             shown[extra] = getattr(spec, extra)
-    return {**values, **{k: _plain(v) for k, v in shown.items() if k not in values}}
+    return {**values, **{k: json_ready(v) for k, v in shown.items() if k not in values}}
 
 
 def method_options(entry: Registered) -> list[OptionDescription]:
@@ -145,12 +146,6 @@ def _unavailable(entry: Registered) -> str | None:
         return entry.spec.unavailable()
     except Exception as error:  # a stranger's probe may raise anything; the listing goes on
         return f"its probe failed: {type(error).__name__}: {error}"
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, (tuple, list)):
-        return [_plain(v) for v in value]
-    return {str(k): _plain(v) for k, v in value.items()} if hasattr(value, "items") else value
 
 
 def _long(entry: dict[str, Any]) -> str:

@@ -5,16 +5,18 @@ Exit codes: 0 ok, 1 the run ended otherwise (lost, crashed, ...), 2 bad input an
 
 from __future__ import annotations
 
-import json
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from panobench.bench.request import RunRequest, run_options
 from panobench.cli.run_options import with_run_options
 from panobench.errors import UsageError
+
+if TYPE_CHECKING:
+    from panobench.bench.record import RunRecord
 
 app = typer.Typer()
 EXIT_NOT_OK, EXIT_INTERRUPTED = 1, 130
@@ -48,16 +50,17 @@ def run(
         raise UsageError("--quiet and --verbose exclude each other")
     with watching(viewer):
         folder = run_with_progress(request, out, force, show=verbose or not (quiet or as_json), verbose=verbose)
-    from panobench.bench.runfolder import RUN_JSON, read_run_json
+    from panobench.bench.record import read_record
+    from panobench.bench.runfolder import RUN_JSON
 
-    document = read_run_json(folder)
+    record = read_record(folder)
     if as_json:
         print((folder / RUN_JSON).read_text(encoding="utf-8"), end="")
     elif not quiet:
-        print(summary(folder, document))
-    code = exit_code(document["status"])
+        print(summary(folder, record))
+    code = exit_code(record.status)
     if code:
-        typer.echo(f"panobench: {document['status']}: {document['message']} (see {folder / 'log.txt'})", err=True)
+        typer.echo(f"panobench: {record.status}: {record.message} (see {folder / 'log.txt'})", err=True)
         raise typer.Exit(code)
 
 
@@ -94,21 +97,15 @@ _LINES = (
 )
 
 
-def summary(folder: Path, document: dict[str, Any]) -> str:
+def summary(folder: Path, record: RunRecord) -> str:
     """A few lines for people; run.json has everything."""
-    numbers = {**document["metrics"], **document["timing"]}
-    frames = document["frames"]
-    lines = [f"{document['status']}  {folder}", f"{'tracked':18}{frames['tracked']} of {frames['given']} frames"]
+    frames = record.frames
+    lines = [f"{record.status}  {folder}", f"{'tracked':18}{frames.tracked} of {frames.given} frames"]
     for label, key, factor, form in _LINES:
-        value = numbers.get(key)
+        value = record.number(key)
         if value is not None:
             lines.append(f"{label:18}{form.format(value * factor)}")
-    if document["depth"]["oracle"]:
+    if record.depth.oracle:
         lines.append("note: the dataset's own depth was given to the method (oracle)")
-    lines += [f"note: {remark}" for remark in document.get("remarks") or ()]
+    lines += [f"note: {remark}" for remark in record.remarks]
     return "\n".join(lines)
-
-
-def to_json(document: dict[str, Any]) -> str:
-    """As printed by --json options."""
-    return json.dumps(document, indent=2)

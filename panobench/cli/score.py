@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from panobench.bench.record import RunRecord
 
 app = typer.Typer()
 
@@ -24,8 +27,8 @@ def score(
 ) -> None:
     """Score stored runs again; trajectory numbers and status change, renders and times stay as measured."""
     from panobench.bench.compare import run_folders
-    from panobench.bench.rescore import ALIGNMENTS, Protocol, rescore, write_copy, write_in_place
-    from panobench.bench.runfolder import read_run_json
+    from panobench.bench.record import read_record, replace_record
+    from panobench.bench.rescore import ALIGNMENTS, Protocol, rescore, write_copy
     from panobench.errors import UnknownNameError, UsageError
 
     if out is not None and in_place:
@@ -36,11 +39,11 @@ def score(
     folders = [folder for path in runs for folder in run_folders(path)]
     rows = []
     for folder in folders:
-        before, after = read_run_json(folder), rescore(folder, protocol)
+        before, after = read_record(folder), rescore(folder, protocol)
         if out is not None:
             write_copy(folder, after, out / folder.name)
         elif in_place:
-            write_in_place(folder, after)
+            replace_record(folder, after)
         rows.append((folder, _short(before), _short(after)))
     if as_json:
         found = [{"run": str(f), "protocol": protocol.name, "before": b, "after": a} for f, b, a in rows]
@@ -53,10 +56,9 @@ def score(
     print(text_table(header, [[folder.name, *_pairs(before, after)] for folder, before, after in rows]))
 
 
-def _short(document: dict[str, Any]) -> dict[str, Any]:
-    metrics = document.get("metrics") or {}
+def _short(record: RunRecord) -> dict[str, Any]:
     names = ("ate_rmse_m", "ate_keyframes_rmse_m", "rpe_trans_rmse_m", "tracked")
-    return {"status": document["status"], **{name: metrics.get(name) for name in names}}
+    return {"status": record.status, **{name: record.number(name) for name in names}}
 
 
 def _pairs(before: dict[str, Any], after: dict[str, Any]) -> list[str]:

@@ -90,7 +90,7 @@ def status(
 
     where = Store(store).require()
     found, damaged = where.runs()
-    rows = [_row(str(_mapping(s.document, "cell").get("label") or s.folder.name), s, "") for s in found]
+    rows = [_row(s.record.cell.label if s.record.cell else s.folder.name, s, "") for s in found]
     rows += [_row(d.folder.name, None, "") | {"status": "damaged", "message": d.reason} for d in damaged]
     rows += [
         _row(q.folder.name, None, "") | {"status": "quarantined", "message": q.reason} for q in where.quarantined()
@@ -98,23 +98,13 @@ def status(
     print_rows(rows, as_json)
 
 
-def _mapping(document: dict[str, Any], key: str) -> dict[str, Any]:
-    """An entry of a stored run, which may be anybody's."""
-    value = document.get(key)
-    return value if isinstance(value, dict) else {}
-
-
 def _row(label: str, stored: Any, reason: str) -> dict[str, Any]:
-    document = stored.document if stored else {}
-    metrics, timing = _mapping(document, "metrics"), _mapping(document, "timing")
+    numbers = ("tracked", "ate_rmse_m", "psnr_db", "fps")
     return {
         "cell": label,
         "status": stored.status if stored else "not run",
-        "tracked": metrics.get("tracked"),
-        "ate_rmse_m": metrics.get("ate_rmse_m"),
-        "psnr_db": metrics.get("psnr_db"),
-        "fps": timing.get("fps"),
-        "message": document.get("message", ""),
+        **{name: stored.record.number(name) if stored else None for name in numbers},
+        "message": stored.record.message if stored else "",
         "to_do": reason,
         "folder": str(stored.folder) if stored else None,
     }

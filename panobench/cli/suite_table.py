@@ -79,13 +79,12 @@ class SuiteTable:
 
 def _numbers(stored: Stored) -> str:
     if stored.status not in ("ok", "lost"):
-        return str(stored.document.get("message", ""))
-    metrics, timing = stored.document.get("metrics", {}), stored.document.get("timing", {})
-    words = []
-    if metrics.get("ate_rmse_m") is not None:
-        words.append(f"ATE {1e3 * metrics['ate_rmse_m']:.2f} mm")
-    if metrics.get("tracked") is not None:
-        words.append(f"tracked {metrics['tracked']:.0%}")
-    if timing.get("fps"):
-        words.append(f"{timing['fps']:.1f} fps")
+        return stored.record.message
+    number, words = stored.record.number, []
+    if (ate := number("ate_rmse_m")) is not None:
+        words.append(f"ATE {1e3 * ate:.2f} mm")
+    if (tracked := number("tracked")) is not None:
+        words.append(f"tracked {tracked:.0%}")
+    if fps := number("fps"):
+        words.append(f"{fps:.1f} fps")
     return "  ".join(words)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from panobench.geometry import Sim3, umeyama
 from panobench.metrics.alignment import Matched, match, moves
 from panobench.metrics.base import MetricInput
 from panobench.types import Trajectory
+
+Alignment = Literal["sim3", "se3", "none"]
 
 
 def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
@@ -19,7 +24,7 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
         data.notes["ate_rmse_m"] = "no ground truth" if data.sequence.groundtruth is None else "no tracked frame"
         return {}
     values: dict[str, float | None] = {"path_length_m": matched.truth.path_length()}
-    how = data.alignment if data.alignment != "auto" else "sim3"
+    how = chosen_alignment(data.alignment)
     aligned = align(matched, how)
     if aligned is None:
         data.notes["ate_rmse_m"] = "fewer than three poses, or a camera that does not move: alignment is undefined"
@@ -28,7 +33,7 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
     values["ate_rotation_rmse_deg"] = _ape(aligned, "rotation_angle_deg")
     values["rpe_trans_rmse_m"] = _rpe(aligned, "translation_part")
     values["rpe_rotation_rmse_deg"] = _rpe(aligned, "rotation_angle_deg")
-    values["scale"] = aligned.scale
+    values["scale"] = aligned.transform.scale
     if estimate.metric and how == "sim3" and (rigid := align(matched, "se3")) is not None:
         values["ate_se3_rmse_m"] = _ape(rigid, "translation_part")
     keyframes = _keyframes(matched, data)
@@ -38,33 +43,48 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
     return values
 
 
+def chosen_alignment(alignment: Literal["auto", "sim3", "se3", "none"]) -> Alignment:
+    """The alignment before ATE that a protocol's choice stands for."""
+    return "sim3" if alignment == "auto" else alignment
+
+
+@dataclass(frozen=True)
 class Aligned:
-    """evo trajectories: the truth and the estimate moved onto it."""
+    """evo trajectories of the same frames: the truth, and the estimate moved onto it by ``transform``."""
 
-    def __init__(self, truth: Any, estimate: Any, scale: float) -> None:
-        self.truth, self.estimate, self.scale = truth, estimate, scale
+    truth: Any
+    estimate: Any
+    transform: Sim3
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """(N, 3) of the moved estimate, in the truth's world."""
+        return np.asarray(self.estimate.positions_xyz)
+
+    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(N,) translation in the truth's unit and (N,) rotation in degrees, of each frame; ATE is their RMS."""
+        translation, rotation = _errors(self, "translation_part"), _errors(self, "rotation_angle_deg")
+        return np.asarray(translation.error), np.asarray(rotation.error)
 
 
-def align(matched: Matched, how: str) -> Aligned | None:
-    """Umeyama alignment by evo: "sim3", "se3" or "none". None under three poses or when either camera stays put."""
+def align(matched: Matched, how: Alignment) -> Aligned | None:
+    """Umeyama alignment by evo. None under three poses or when either camera stays put."""
     if len(matched) < 3 or not moves(matched.truth.positions) or not moves(matched.estimate.positions):
         return None
     from evo.core.geometry import GeometryException
 
     truth, estimate = _evo(matched.truth), _evo(matched.estimate)
     if how == "none":
-        return Aligned(truth, estimate, 1.0)
+        return Aligned(truth, estimate, Sim3(1.0, np.eye(3), np.zeros(3)))
     with_scale = how == "sim3"
     try:
-        _, _, scale = estimate.align(truth, correct_scale=with_scale)
+        R, t, scale = estimate.align(truth, correct_scale=with_scale)
+        return Aligned(truth, estimate, Sim3(float(scale) if with_scale else 1.0, R, t))
     except GeometryException:
         # Poses on one line leave a rotation about it free. Positions, and so the errors, do not depend on it.
-        from panobench.geometry import umeyama
-
         sim3 = umeyama(matched.estimate.positions, matched.truth.positions, with_scale)
         moved = Trajectory(matched.estimate.times, sim3.apply_poses(matched.estimate.T_wc))
-        estimate, scale = _evo(moved), sim3.scale
-    return Aligned(truth, estimate, float(scale) if with_scale else 1.0)
+        return Aligned(truth, _evo(moved), sim3)
 
 
 def _evo(trajectory: Trajectory) -> Any:
@@ -73,12 +93,19 @@ def _evo(trajectory: Trajectory) -> Any:
     return PoseTrajectory3D(poses_se3=list(trajectory.T_wc.copy()), timestamps=trajectory.times.copy())
 
 
-def _ape(aligned: Aligned, relation: str) -> float:
+def _errors(aligned: Aligned, relation: str) -> Any:
+    """evo's absolute pose error."""
     from evo.core import metrics
 
     ape = metrics.APE(metrics.PoseRelation[relation])
     ape.process_data((aligned.truth, aligned.estimate))
-    return float(ape.get_statistic(metrics.StatisticsType.rmse))
+    return ape
+
+
+def _ape(aligned: Aligned, relation: str) -> float:
+    from evo.core import metrics
+
+    return float(_errors(aligned, relation).get_statistic(metrics.StatisticsType.rmse))
 
 
 def _rpe(aligned: Aligned, relation: str) -> float:

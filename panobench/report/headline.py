@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
 
 from panobench import __version__
+from panobench.bench.provenance import ProvenanceRecord
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
 from panobench.report.table_model import length_text
@@ -86,42 +86,31 @@ def _run_tiles(run: Run) -> list[Tile]:
 
 def measurements(run: Run) -> list[tuple[str, list[tuple[str, str]]]]:
     """Everything measured of one run as (heading, (name, value with unit) pairs); says why where it is n/a."""
-    notes = run.document.get("notes")
-    notes = notes if isinstance(notes, Mapping) else {}
     ate = Quantity("ate_rmse_m", "ATE", "mm", "lower", scale=1e3)
     out = []
     for heading, quantities in (("Accuracy", (ate, *ACCURACY)), ("Rendering", RENDERING), ("Cost", COST)):
         pairs = []
         for quantity in quantities:
             value = run.number(quantity.key)
-            note = notes.get(quantity.key)
+            note = run.record.notes.get(quantity.key)
             if value is not None:
                 pairs.append((quantity.label, f"{quantity.text(value)} {quantity.unit}".strip()))
             elif note:
-                pairs.append((quantity.label, f"n/a: {str(note).removeprefix('n/a: ')}"))
+                pairs.append((quantity.label, f"n/a: {note.removeprefix('n/a: ')}"))
         if pairs:
             out.append((heading, pairs))
     return out
 
 
 def facts(collection: Collection, now: datetime) -> list[tuple[str, str]]:
-    documents = [r.document for r in collection.runs] + [{"provenance": s.provenance} for s in collection.studies]
-    protocols = {str(v) for document in documents if (v := find(document, "protocol", "protocol_version"))}
+    """When and with what the report and its runs were made, as (name, text) pairs."""
+    protocols = {run.protocol for run in collection.runs} - {""}
+    origins = [run.record.provenance for run in collection.runs]
+    origins += [ProvenanceRecord.from_dict(study.provenance) for study in collection.studies]
+    machines = {origin.machine.cpu for origin in origins} - {""}
     facts = [("Made", now.strftime("%Y-%m-%d %H:%M UTC")), ("panobench", __version__)]
     if protocols:
         facts.append(("Protocol", ", ".join(sorted(protocols))))
-    machines = {str(v) for document in documents if (v := find(document, "cpu"))}
     if machines:
         facts.append(("Machine", ", ".join(sorted(machines)[:2]) + (" and others" if len(machines) > 2 else "")))
     return facts
-
-
-def find(document: Mapping[str, Any], *keys: str) -> Any:
-    origin = document.get("provenance")
-    machine = origin.get("machine") if isinstance(origin, Mapping) else None
-    for source in (document, origin, machine):
-        if isinstance(source, Mapping):
-            for key in keys:
-                if source.get(key):
-                    return source[key]
-    return None

@@ -112,7 +112,7 @@ def safe_json(value: Any) -> Markup:
 
 
 def _run_details(number: int, run: Run, label: str, gallery: Gallery) -> dict[str, Any]:
-    provenance = run.document.get("provenance")
+    about = run.record.to_dict()
     return {
         "anchor": f"run-{number}",
         "label": label,
@@ -120,11 +120,9 @@ def _run_details(number: int, run: Run, label: str, gallery: Gallery) -> dict[st
         "reason": failure(run),
         "map": map_size(run),
         "map_link": copy_map(run, gallery, number),
-        "configuration": flatten(run.document.get("spec") or {}),
-        "provenance": flatten(provenance if isinstance(provenance, Mapping) else {}),
-        "extra": flatten(
-            {k: run.document[k] for k in ("remarks", "extra", "depth", "notes", "map") if run.document.get(k)}
-        ),
+        "configuration": flatten(about["spec"]),
+        "provenance": flatten(about["provenance"]),
+        "extra": flatten({k: about[k] for k in ("remarks", "extra", "depth", "notes", "map") if about.get(k)}),
     }
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.bench.record import RunRecord
 from panobench.geometry import Sim3
 from panobench.studies.stored import StoredStudy
 from panobench.types import Trajectory
@@ -48,7 +49,7 @@ class DepthPictures:
 
 @dataclass(frozen=True)
 class Errors:
-    """An aligned trajectory (N poses) and its error per pose against ground truth.
+    """An aligned trajectory (N poses) and its error per pose against ground truth, as the run was scored.
 
     times (N,) s; positions (N, 3) in the ground truth's world and unit; translation (N,) in that unit;
     rotation (N,) degrees. transform: from the estimate's world to the ground truth's. alignment: "Sim(3)",
@@ -64,52 +65,105 @@ class Errors:
 
     @property
     def rmse(self) -> float:
-        """Root mean square of the translation error."""
+        """Root mean square of the translation error: the ATE."""
         return float(np.sqrt(np.mean(self.translation**2)))
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run folder, read. ``numbers`` joins metrics and timing of run.json (None: not measured).
+    """One run folder, read: its record, and what lies beside it.
 
-    true_depth: the method was given the dataset's own depth, so its accuracy is an upper bound.
-    given_poses: it was given the poses too: its trajectory is no result, and its map an upper bound.
+    frames: columns of frames.csv. pairs: renders beside what they should show. warnings: files that cannot be read.
     """
 
     folder: Path
-    identifier: str
-    origin: Origin
-    status: str
-    message: str
-    method: str
-    dataset: str
-    sequence: str
-    seed: int | None
-    variant: Mapping[str, str]
-    numbers: Mapping[str, float | None]
-    document: Mapping[str, Any]
+    record: RunRecord
     trajectory: Trajectory | None = None
     groundtruth: Trajectory | None = None
     errors: Errors | None = None
-    keyframes: tuple[int, ...] = ()
     frames: Mapping[str, Array] = field(default_factory=dict)
     pairs: tuple[ImagePair, ...] = ()
     depth: DepthPictures | None = None
     log_tail: str = ""
-    command: str = ""
-    protocol: str = ""
-    true_depth: bool = False
-    given_poses: bool = False
     warnings: tuple[str, ...] = ()
+
+    @property
+    def origin(self) -> Origin:
+        """Who made the run."""
+        origin: Origin = "measured"
+        if self.record.origin in ("imported", "published"):
+            origin = cast("Origin", self.record.origin)
+        return origin
+
+    @property
+    def status(self) -> str:
+        """How it ended."""
+        return self.record.status
+
+    @property
+    def message(self) -> str:
+        """Why it is not ok."""
+        return self.record.message
+
+    @property
+    def method(self) -> str:
+        """The method's name."""
+        return self.record.spec.method or "unknown method"
+
+    @property
+    def dataset(self) -> str:
+        """The dataset's name."""
+        return self.record.spec.dataset or "unknown dataset"
+
+    @property
+    def sequence(self) -> str:
+        """The sequence's name; the dataset's where it has none."""
+        return self.record.spec.sequence or self.record.spec.dataset or "unknown sequence"
 
     @property
     def place(self) -> tuple[str, str]:
         """(dataset, sequence)."""
         return (self.dataset, self.sequence)
 
+    @property
+    def seed(self) -> int | None:
+        """The seed, None where the file does not say."""
+        return self.record.spec.seed
+
+    @property
+    def variant(self) -> Mapping[str, str]:
+        """Run options that may set it apart from other runs of its method on its sequence, as text."""
+        return self.record.spec.variants()
+
+    @property
+    def command(self) -> str:
+        """The command that makes this run again, "" if it was not recorded."""
+        return self.record.provenance.command
+
+    @property
+    def protocol(self) -> str:
+        """The protocol it was scored under."""
+        return self.record.protocol
+
+    @property
+    def true_depth(self) -> bool:
+        """The method was given the dataset's own depth, so its accuracy is an upper bound."""
+        return self.record.depth.oracle
+
+    @property
+    def given_poses(self) -> bool:
+        """It was given the poses: its trajectory is no result, and its map an upper bound."""
+        return self.record.depth.poses_given
+
     def number(self, key: str) -> float | None:
-        """A metric or timing value, None where it was not measured."""
-        return self.numbers.get(key)
+        """A metric or timing, the size of the map, or "ate_percent" of the path; None where it was not measured."""
+        value = self.record.number(key)
+        if value is None and key == "map_gaussians" and self.record.map is not None:
+            return self.record.map.gaussians
+        if value is None and key == "ate_percent" and self.trajectory is not None and self.groundtruth is not None:
+            path, ate = self.groundtruth.path_length(), self.record.number("ate_rmse_m")
+            return 100.0 * ate / path if ate is not None and path > 0 else None
+        return value
 
 
 @dataclass(frozen=True)

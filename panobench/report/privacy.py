@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from panobench.bench.record import RunRecord
 from panobench.report.model import Collection, Problem, Run
 from panobench.studies.stored import StoredStudy
 
@@ -32,10 +33,8 @@ def shortened(text: str) -> str:
 def _run(run: Run) -> Run:
     return replace(
         run,
-        message=shortened(run.message),
-        document=_everywhere(run.document),
+        record=RunRecord.from_dict(_everywhere(run.record.to_dict())),
         log_tail=shortened(run.log_tail),
-        command=shortened(run.command),
         warnings=tuple(shortened(w) for w in run.warnings),
     )
 

@@ -79,8 +79,8 @@ class _Lines:
     def finished(self, planned: Planned, stored: Stored, note: str) -> None:
         with self._lock:
             self._done += 1
-            ate = stored.document.get("metrics", {}).get("ate_rmse_m")
-            words = [stored.status] + ([f"ATE {1e3 * ate:.2f} mm"] if isinstance(ate, float) else []) + [note]
+            ate = stored.record.number("ate_rmse_m")
+            words = [stored.status] + ([f"ATE {1e3 * ate:.2f} mm"] if ate is not None else []) + [note]
             self._study.say(f"[{self._done}/{self._total}] {' '.join(w for w in words if w)}")
 
 
@@ -105,14 +105,13 @@ def values(results: dict[str, Stored], cells: Sequence[Cell], key: str) -> list[
     found: list[float | None] = []
     for cell in cells:
         stored = results.get(cell.identity)
-        document = stored.document if stored else {}
-        if document.get("status") != RunStatus.OK.value:
+        if stored is None or not stored.record.ok:
             found.append(None)
             continue
-        value = {**document.get("timing", {}), **document.get("metrics", {})}.get(key)
-        if not isinstance(value, (int, float)) or not math.isfinite(value):
+        value = stored.record.number(key)
+        if value is None:
             return []
-        found.append(float(value))
+        found.append(value)
     return found
 
 
@@ -159,5 +158,5 @@ def reasons(results: dict[str, Stored], cells: Iterable[Cell]) -> list[str]:
         if stored is None:
             lines.append(f"{cell.label}: not run")
         elif stored.status != RunStatus.OK.value:
-            lines.append(f"{cell.label}: {stored.status}, {stored.document.get('message', '')}".rstrip(", "))
+            lines.append(f"{cell.label}: {stored.status}, {stored.record.message}".rstrip(", "))
     return lines

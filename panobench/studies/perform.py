@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 
-from panobench.bench.config import plain
 from panobench.bench.provenance import provenance
 from panobench.errors import PanobenchError
 from panobench.specs import StudySpec
@@ -18,7 +17,7 @@ def perform(spec: StudySpec, request: StudyRequest) -> StudyResult:
     if not isinstance(result, StudyResult):
         raise PanobenchError(f"study '{spec.name}' returned {type(result).__name__}, not a StudyResult")
     about = {"command": shlex.join(command(spec.name, request)), "quick": request.quick, "options": request.options}
-    write_study(request.out, result, plain({**provenance(), **about}))
+    write_study(request.out, result, {**provenance().to_dict(), **about})
     return result
 
 

@@ -162,13 +162,14 @@ def black_frames(text: str) -> int:
 
 def outcome(stored: Stored | None, black: int) -> Outcome:
     """What a run came to if ``black`` of its frames could have no pose: a run that tracked the others is not lost."""
-    document = stored.document if stored else {}
-    metrics, given = document.get("metrics", {}), document.get("frames", {}).get("given", 0)
-    tracked = metrics.get("tracked")
-    if document.get("status") not in (RunStatus.OK.value, RunStatus.LOST.value) or tracked is None:
+    if stored is None or stored.status not in (RunStatus.OK.value, RunStatus.LOST.value):
         return Outcome(FAILED)
-    share = min(float(tracked) * given / (given - black), 1.0) if given > black else float(tracked)
-    ate, psnr = metrics.get("ate_rmse_m"), metrics.get("novel_psnr_db")
+    record, given = stored.record, stored.record.frames.given
+    tracked = record.number("tracked")
+    if tracked is None:
+        return Outcome(FAILED)
+    share = min(tracked * given / (given - black), 1.0) if given > black else tracked
+    ate, psnr = record.number("ate_rmse_m"), record.number("novel_psnr_db")
     if share < MIN_TRACKED or ate is None or ate > FAILED_ATE_M:
         return Outcome(100.0 * share)
     return Outcome(100.0 * share, 1e3 * ate, psnr)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 from panobench.errors import InputError
 from panobench.reading import parse_json, read_text
 from panobench.studies.base import StudyResult
-from panobench.writing import write_whole
+from panobench.writing import json_ready, write_whole
 
 STUDY_JSON = "study.json"
 SCHEMA = 1
@@ -32,7 +31,7 @@ def write_study(folder: Path, result: StudyResult, provenance: Mapping[str, Any]
     """Raises OutputError."""
     document = {"schema": SCHEMA, **asdict(result), "provenance": dict(provenance)}
     path = folder / STUDY_JSON
-    write_whole(path, json.dumps(finite(document), indent=1, ensure_ascii=False) + "\n")
+    write_whole(path, json.dumps(json_ready(document), indent=1, ensure_ascii=False) + "\n")
     return path
 
 
@@ -67,16 +66,3 @@ def read_study(folder: Path) -> StoredStudy:
 def _entries(document: Mapping[str, Any], key: str) -> list[tuple[Any, Any]]:
     value = document.get(key)
     return list(value.items()) if isinstance(value, dict) else []
-
-
-def finite(value: Any) -> Any:
-    """A copy for JSON: NumPy values as plain ones, numbers that are not finite as null."""
-    if isinstance(value, Mapping):
-        return {str(k): finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(v) for v in value]
-    if hasattr(value, "tolist"):
-        return finite(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

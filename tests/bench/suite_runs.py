@@ -38,7 +38,7 @@ def quick(planned: Planned, suite: str, place: Path, stopper: Stopper) -> Path:
         from panobench.bench.suite import compute
 
         return compute(planned, suite, place, stopper)
-    return execute(planned.cell.request, place / "run", extra={"cell": entry(planned, suite)})
+    return execute(planned.cell.request, place / "run", cell=entry(planned, suite))
 
 
 def run(store: Store, cells: list[Cell], retry: str = "", compute: Any = quick, jobs: int = 1) -> Silent:

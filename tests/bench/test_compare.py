@@ -9,13 +9,19 @@ from typing import Any
 import pytest
 
 from panobench.bench.compare import Rule, compare
-from panobench.bench.runfolder import write_json
+from panobench.bench.record import RunRecord, write_record
 from panobench.cli.main import run as panobench
 from panobench.errors import InputError, PanobenchError
 
 
 def make(
     sequence: str, ate: float | None, *, seed: int = 0, status: str = "ok", method: str = "m", **more: Any
+) -> RunRecord:
+    return RunRecord.from_dict(_document(sequence, ate, seed, status, method, more))
+
+
+def _document(
+    sequence: str, ate: float | None, seed: int, status: str, method: str, more: dict[str, Any]
 ) -> dict[str, Any]:
     return {
         "schema": 1,
@@ -26,11 +32,11 @@ def make(
     }
 
 
-def store(path: Path, runs: list[dict[str, Any]]) -> Path:
-    for k, document in enumerate(runs):
+def store(path: Path, runs: list[RunRecord]) -> Path:
+    for k, record in enumerate(runs):
         folder = path / "runs" / f"r{k}"
         folder.mkdir(parents=True)
-        write_json(folder / "run.json", document)
+        write_record(folder, record)
     return path
 
 
@@ -89,13 +95,13 @@ def test_each_sequence_can_be_judged() -> None:
     one_worse = [*BASE[:9], *WORSE[9:]]
     assert not compare(BASE, one_worse, [Rule.parse("ate>10%")]).regression
     found = compare(BASE, one_worse, [Rule.parse("any:ate>10%")])
-    assert [v.label for v in found.verdicts if v.broken] == ["m erp rooms d"]
+    assert [v.label for v in found.verdicts if v.broken] == ["m erp rooms/d"]
 
 
 def test_new_failures_are_a_regression_without_any_rule() -> None:
     failing = [*BASE[:-1], make("d", None, seed=2, status="lost")]
     found = compare(BASE, failing, [])
-    assert found.new_failures == ["m erp rooms d"]
+    assert found.new_failures == ["m erp rooms/d"]
     assert found.regression
     assert not compare(failing, failing, []).regression
     assert not compare(failing, BASE, []).regression
@@ -103,13 +109,13 @@ def test_new_failures_are_a_regression_without_any_rule() -> None:
 
 def test_cells_of_one_side_are_told() -> None:
     found = compare(BASE[:6], BASE[3:9], [])
-    assert (found.only_base, found.only_new) == (["m erp rooms a"], ["m erp rooms c"])
+    assert (found.only_base, found.only_new) == (["m erp rooms/a"], ["m erp rooms/c"])
     with pytest.raises(InputError, match="no cell in common"):
         compare(BASE[:3], BASE[6:], [])
 
 
 def test_two_methods_can_be_compared_on_the_same_sequences() -> None:
-    other = [{**r, "spec": {**r["spec"], "method": "other"}} for r in WORSE]
+    other = [make(s, ate, seed=k, method="other") for s in "abcd" for k, ate in enumerate([0.0120, 0.0121, 0.0119])]
     assert compare(BASE, other, [Rule.parse("ate>5%")]).regression
 
 
@@ -134,3 +140,23 @@ def test_the_command_and_its_exit_codes(tmp_path: Path, capsys: pytest.CaptureFi
     (base / "runs" / "r0" / "run.json").write_text("{")
     assert panobench(["compare", str(base), str(worse)]) == 2
     assert "r0/run.json:1: not valid JSON" in capsys.readouterr().err
+
+
+def test_a_run_that_failed_before_it_chose_a_depth_belongs_to_the_cell_it_was_meant_for() -> None:
+    good = make("a", 0.01)
+    good.spec.other["depth"] = "bootstrap"
+    crashed = make("a", None, status="crashed")
+    crashed.spec.other["depth"] = None
+    found = compare([good], [crashed], [])
+    assert found.regression
+    assert found.new_failures == ["m erp bootstrap rooms/a"]
+    assert found.only_new == []
+
+
+def test_runs_of_other_options_are_other_cells_and_old_runs_have_the_defaults() -> None:
+    wide, narrow, old = make("a", 0.01), make("a", 0.02), make("a", 0.03)
+    wide.spec.other["width"] = 1024
+    narrow.spec.other["width"] = 512
+    with pytest.raises(InputError, match="no cell in common"):
+        compare([wide], [narrow], [])
+    assert len(compare([old], [narrow], []).cells) == 1, "it was stored before there was such an option"

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from panobench.bench.record import RescoredRecord, RunRecord, read_record
 from panobench.bench.request import RunRequest
 from panobench.bench.rescore import Protocol, rescore
-from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import execute
 from panobench.cli.main import run as panobench
 from panobench.errors import InputError, UsageError
@@ -25,36 +25,36 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_the_same_protocol_gives_the_same_numbers(folder: Path) -> None:
-    before, after = read_run_json(folder), rescore(folder, Protocol())
-    assert after["protocol"] == before["protocol"] == PROTOCOL_VERSION
-    assert after["status"] == "ok"
-    for key, value in before["metrics"].items():
+    before, after = read_record(folder), rescore(folder, Protocol())
+    assert after.protocol == before.protocol == PROTOCOL_VERSION
+    assert after.status == "ok"
+    for key, value in before.metrics.items():
         if isinstance(value, float):
-            assert after["metrics"][key] == pytest.approx(value, rel=1e-5), key
-    assert after["timing"] == before["timing"]
+            assert after.metrics[key] == pytest.approx(value, rel=1e-5), key
+    assert after.timing == before.timing
 
 
 def test_another_protocol_gives_other_numbers(folder: Path) -> None:
-    free = rescore(folder, Protocol())["metrics"]
+    free = rescore(folder, Protocol()).metrics
     rigid = rescore(folder, Protocol(alignment="se3"))
-    raw = rescore(folder, Protocol(alignment="none"))["metrics"]
-    assert rigid["protocol"] == PROTOCOL_VERSION + "+align=se3"
-    assert free["ate_rmse_m"] < rigid["metrics"]["ate_rmse_m"] < raw["ate_rmse_m"]
-    assert rigid["metrics"]["scale"] == 1.0
-    late = rescore(folder, Protocol(skip_s=0.55))["metrics"]
+    raw = rescore(folder, Protocol(alignment="none")).metrics
+    assert rigid.protocol == PROTOCOL_VERSION + "+align=se3"
+    assert free["ate_rmse_m"] < rigid.metrics["ate_rmse_m"] < raw["ate_rmse_m"]
+    assert rigid.metrics["scale"] == 1.0
+    late = rescore(folder, Protocol(skip_s=0.55)).metrics
     assert late["tracked"] == 1.0
     assert late["path_length_m"] < free["path_length_m"]
     strict = rescore(folder, Protocol(failed_ate_m=0.001))
-    assert strict["status"] == "lost"
-    assert strict["rescored_from"] == {"protocol": PROTOCOL_VERSION, "status": "ok"}
+    assert strict.status == "lost"
+    assert strict.rescored_from == RescoredRecord(PROTOCOL_VERSION, "ok")
 
 
 def test_failed_runs_stay_failed(tmp_path: Path) -> None:
     folder = execute(RunRequest(method="fake-crash", dataset="tiny", width=64), tmp_path / "run")
-    assert rescore(folder, Protocol(min_tracked=0.0))["status"] == "crashed"
+    assert rescore(folder, Protocol(min_tracked=0.0)).status == "crashed"
     lost = execute(RunRequest(method="fake-loses-track", dataset="tiny", width=64), tmp_path / "lost")
-    assert rescore(lost, Protocol())["status"] == "lost"
-    assert rescore(lost, Protocol(min_tracked=0.3))["status"] == "ok"
+    assert rescore(lost, Protocol()).status == "lost"
+    assert rescore(lost, Protocol(min_tracked=0.3)).status == "ok"
 
 
 @pytest.mark.parametrize(
@@ -73,6 +73,21 @@ def test_damaged_files_are_named(folder: Path, name: str, content: str) -> None:
         rescore(folder, Protocol())
 
 
+@pytest.mark.parametrize(
+    ("name", "metric", "protocol"),
+    [
+        ("1.2", True, Protocol()),
+        ("1.0", True, Protocol("se3")),
+        ("1.0", False, Protocol()),
+        ("1.2+align=none+skip_s=2.5", False, Protocol("none", skip_s=2.5)),
+        ("1.2+align=what+skip_s=-1", False, Protocol()),
+        ("", False, Protocol()),
+    ],
+)
+def test_the_protocol_of_a_run_is_read_from_its_name(name: str, metric: bool, protocol: Protocol) -> None:
+    assert Protocol.of(RunRecord(protocol=name, metric=metric)) == protocol
+
+
 def test_impossible_protocols() -> None:
     for values in ({"min_tracked": 2.0}, {"failed_ate_m": -1.0}, {"skip_s": np.inf}, {"alignment": "sim4"}):
         with pytest.raises(UsageError):
@@ -82,12 +97,12 @@ def test_impossible_protocols() -> None:
 def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert panobench(["score", str(tmp_path), "--align", "se3", "--out", str(tmp_path / "new")]) == 0
     assert " -> " in capsys.readouterr().out
-    assert read_run_json(tmp_path / "new" / "run")["protocol"] == PROTOCOL_VERSION + "+align=se3"
-    assert read_run_json(folder)["protocol"] == PROTOCOL_VERSION
+    assert read_record(tmp_path / "new" / "run").protocol == PROTOCOL_VERSION + "+align=se3"
+    assert read_record(folder).protocol == PROTOCOL_VERSION
     assert (tmp_path / "new" / "run" / "trajectory.tum").read_bytes() == (folder / "trajectory.tum").read_bytes()
     assert panobench(["score", str(folder), "--max-ate", "0.001", "--in-place", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)[0]["after"]["status"] == "lost"
-    assert read_run_json(folder)["status"] == "lost"
+    assert read_record(folder).status == "lost"
     assert panobench(["score", str(folder), "--align", "sim4"]) == 2
     assert panobench(["score", str(folder), "--in-place", "--out", "x"]) == 2
 

@@ -10,6 +10,7 @@ from suite_runs import Silent, cell, quick, run, statuses
 
 from panobench.bench.cells import Limits, Planned, Planner
 from panobench.bench.isolated import InfrastructureError, Stopper, run_isolated
+from panobench.bench.record import CellRecord
 from panobench.bench.runfolder import read_run_json
 from panobench.bench.store import Store
 from panobench.bench.suite import SuiteRunner, choose, make_plan, parse_retry
@@ -144,8 +145,8 @@ def test_a_raised_limit_is_a_reason(tmp_path: Path) -> None:
         from panobench.bench.failure import write_failure
         from panobench.bench.suite import entry
 
-        about = {"cell": entry(planned, suite)}
-        return write_failure(place / "r", planned.cell.request, RunStatus.TIMEOUT, "slow", extra=about)
+        about = entry(planned, suite)
+        return write_failure(place / "r", planned.cell.request, RunStatus.TIMEOUT, "slow", cell=about)
 
     store = Store(tmp_path)
     run(store, [cell(limits=Limits(timeout_s=5))], compute=times_out)
@@ -181,8 +182,8 @@ def test_a_lost_supervisor_is_not_the_methods_failure(tmp_path: Path, monkeypatc
 
     attempts = []
 
-    def flaky(planned: Any, about: dict[str, Any], place: Path, stopper: Stopper) -> Path:
-        attempts.append(about["attempt"])
+    def flaky(planned: Any, about: CellRecord, place: Path, stopper: Stopper) -> Path:
+        attempts.append(about.attempt)
         if len(attempts) < 3:
             raise InfrastructureError("gone")
         return run_isolated(planned, about, place, stopper)

@@ -14,6 +14,7 @@ from suite_runs import cell, processes, run, statuses
 from panobench.bench import isolated
 from panobench.bench.cells import Limits
 from panobench.bench.isolated import InfrastructureError, Stopper, judge, run_isolated
+from panobench.bench.record import CellRecord
 from panobench.bench.runfolder import read_run_json
 from panobench.bench.store import Store
 from panobench.bench.supervisor import Result
@@ -39,11 +40,11 @@ def test_isolation(tmp_path: Path, method: str, limits: dict[str, float], status
     method, _, sequence = method.partition("-")
     chosen = cell(method, sequence=sequence or "blind", max_frames=8, limits=Limits(**{"timeout_s": 300.0, **limits}))
     (tmp_path / "place").mkdir()
-    folder = run_isolated(chosen, {"key": "k"}, tmp_path / "place")
+    folder = run_isolated(chosen, CellRecord(key="k"), tmp_path / "place")
     document = read_run_json(folder)
     assert document["status"] == status
     assert says in document["message"]
-    assert document["cell"] == {"key": "k"}
+    assert document["cell"]["key"] == "k"
     assert document["isolation"]["peak_rss_bytes"] > 20 << 20
     log = (folder / "log.txt").read_text()
     assert status in log
@@ -106,7 +107,7 @@ def test_children_of_a_killed_run_are_gone(tmp_path: Path, monkeypatch: pytest.M
     stopper = Stopper()
     found: list[Path] = []
     thread = threading.Thread(
-        target=lambda: found.append(run_isolated(cell("spawner"), {}, tmp_path / "place", stopper))
+        target=lambda: found.append(run_isolated(cell("spawner"), CellRecord(), tmp_path / "place", stopper))
     )
     thread.start()
     deadline = time.monotonic() + 120
@@ -131,7 +132,7 @@ def test_children_are_gone_too_when_their_supervisor_is_killed(tmp_path: Path, m
 
     def go() -> None:
         try:
-            run_isolated(cell("spawner"), {}, tmp_path / "place")
+            run_isolated(cell("spawner"), CellRecord(), tmp_path / "place")
         except InfrastructureError as error:
             found.append(error)
 

@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.datasets.trajectory_io import read_tum
+from panobench.bench.record import write_record
+from panobench.bench.rescore import Protocol, rescore
+from panobench.datasets.trajectory_io import read_tum, write_tum
 from panobench.errors import InputError
 from panobench.geometry import Sim3, so3_exp
-from panobench.report.collect import collect, match_times, read_run, trajectory_errors
+from panobench.report.collect import collect, read_run, trajectory_errors
 from panobench.types import Trajectory
 
 
@@ -29,20 +31,21 @@ def test_a_run_folder_is_read_whole(make_run):
     assert run.log_tail.endswith("finished")
 
 
-def test_errors_vanish_for_a_similar_trajectory_and_scale_is_kept_when_metric(make_run):
+def test_errors_vanish_for_a_similar_trajectory_and_scale_is_kept_when_asked_for(make_run):
     truth = read_tum(make_run("r") / "groundtruth.tum")
     moved = Sim3(2.5, so3_exp([0.3, -0.2, 1.0]), np.array([1.0, 2.0, 3.0])).apply_poses(truth.T_wc)
     similar = Trajectory(truth.times, moved)
-    free = trajectory_errors(similar, truth)
+    free = trajectory_errors(similar, truth, Protocol())
     assert free is not None
     assert free.rmse < 1e-9
     assert free.rotation.max() < 1e-5
     assert free.transform.scale == pytest.approx(0.4)
-    fixed = trajectory_errors(similar, truth, alignment="SE(3)")
+    assert free.transform.apply_points(similar.positions) == pytest.approx(truth.positions)
+    fixed = trajectory_errors(similar, truth, Protocol("se3"))
     assert fixed is not None
     assert fixed.alignment == "SE(3)"
     assert fixed.rmse > 0.5
-    raw = trajectory_errors(truth, truth, alignment="none")
+    raw = trajectory_errors(truth, truth, Protocol("none"))
     assert raw is not None
     assert raw.rmse == 0.0
 
@@ -55,11 +58,19 @@ def test_plots_use_the_alignment_the_run_was_scored_with(make_run, edit):
     assert read_run(folder).errors.alignment == "none"
 
 
-def test_times_are_matched_within_the_tolerance_only():
-    times = np.array([0.0, 0.1, 0.2, 0.3])
-    mine, theirs = match_times(times, np.array([0.001, 0.102, 0.25, 0.3]))
-    assert mine.tolist() == [0, 1, 3]
-    assert theirs.tolist() == [0, 1, 3]
+@pytest.mark.parametrize("protocol", [Protocol(), Protocol("se3"), Protocol("none"), Protocol(skip_s=0.5)])
+def test_curves_and_tables_say_the_same(make_run, protocol):
+    """A pose 20 ms from its frame meets no true pose, in the table's figure and in the curve."""
+    folder = make_run("r", noise=0.01)
+    off = read_tum(folder / "trajectory.tum")
+    times = off.times + np.where(np.arange(len(off)) % 5 == 3, 0.02, 0.0)
+    write_tum(folder / "trajectory.tum", Trajectory(times, off.T_wc))
+    scored = rescore(folder, protocol)
+    write_record(folder, scored)
+    run = read_run(folder)
+    assert run.errors.rmse == pytest.approx(scored.number("ate_rmse_m"), rel=1e-9)
+    assert np.sqrt(np.mean(run.errors.rotation**2)) == pytest.approx(scored.number("ate_rotation_rmse_deg"), rel=1e-9)
+    assert len(run.errors.times) == 32 if protocol.skip_s == 0 else 26
 
 
 def test_without_ground_truth_there_are_no_errors(make_run):

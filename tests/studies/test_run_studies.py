@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from panobench.bench.cells import Cell
+from panobench.bench.record import RunRecord
 from panobench.bench.store import Stored
 from panobench.errors import UnknownNameError, UsageError
 from panobench.plugins import registry
@@ -29,12 +30,16 @@ def answers(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         for cell in asked:
             metrics = {"ate_rmse_m": 0.01, "tracked": 1.0, "psnr_db": 30.0, "ssim": 0.9, "lpips": None}
             document = {"status": "ok", "metrics": metrics, "timing": {"fps": 5.0, "tracking_fps": 20.0}}
-            found[cell.identity] = Stored(Path(), {**document, **state["answer"](cell)})
+            found[cell.identity] = stored({**document, **state["answer"](cell)})
         return found
 
     for module in (fov, ablation, iterations, robustness):
         monkeypatch.setattr(module, "run_cells", run_cells)
     return state
+
+
+def stored(document: dict[str, Any]) -> Stored:
+    return Stored(Path(), RunRecord.from_dict(document))
 
 
 def study(tmp_path: Path, **options: Any) -> StudyRequest:
@@ -85,7 +90,7 @@ def test_the_median_takes_the_worse_side_for_scores_as_for_errors(tmp_path: Path
     found = {}
     for cell, value in zip(asked, (20.0, 21.0, None)):
         document = {"status": "ok" if value else "lost", "metrics": {"psnr_db": value, "ate_rmse_m": value}}
-        found[cell.identity] = Stored(Path(), document)
+        found[cell.identity] = stored(document)
     assert cells.median(found, asked, "psnr_db", higher_is_better=True) == 20.0
     assert cells.median(found, asked, "ate_rmse_m") == 21.0
     assert cells.median(found, asked[:1], "lpips") is None
@@ -186,7 +191,7 @@ def test_black_frames_do_not_count_against_a_method(
 ) -> None:
     metrics = {"tracked": tracked, "ate_rmse_m": ate_m, "novel_psnr_db": 30.0}
     document = {"status": status, "metrics": metrics, "frames": {"given": 100}}
-    found = robustness.outcome(Stored(Path(), document), black)
+    found = robustness.outcome(stored(document), black)
     assert (found.tracked, found.ate_mm) == (pytest.approx(expected[0]) if expected[0] != "/" else "/", expected[1])
     assert robustness.black_frames(f"noise=0.03:black={black}") == black
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from panobench.bench.record import read_record
 from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import execute
 from panobench.cameras.erp import ErpCamera
 from panobench.methods.panogs.config import ExposureOptions
@@ -62,7 +62,7 @@ def test_panogs_follows_a_swinging_exposure(tmp_path) -> None:  # type: ignore[n
             method="panogs", dataset="disturbed", sequence="rooms/tiny:rolling=0.3", width=128, max_frames=40,
             settings={"exposure.match": match},
         )  # fmt: skip
-        run = read_run_json(execute(request, tmp_path / str(match)))
-        errors[match] = run["metrics"]["ate_rmse_m"] if run["metrics"]["tracked"] == 1.0 else np.inf
+        run = read_record(execute(request, tmp_path / str(match)))
+        errors[match] = run.number("ate_rmse_m") if run.number("tracked") == 1.0 else np.inf
     assert errors[True] < 0.03
     assert errors[True] < 0.5 * errors[False]

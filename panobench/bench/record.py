@@ -1,0 +1,269 @@
+"""run.json: what is known about a run when it is over. Written and read through one dataclass, ``RunRecord``.
+
+A new fact about runs is a field of ``RunRecord`` or one of its parts, with a default that stands for runs stored before
+it existed; ``optional()`` fields are left out of the file where they are None.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from panobench.bench.fields import UNFIT, JsonRecord, fit, number, optional
+from panobench.bench.provenance import ProvenanceRecord
+from panobench.bench.request import RunRequest, run_options, value_text
+from panobench.bench.runfolder import RUN_JSON, SCHEMA, read_run_json, write_json
+from panobench.metrics.base import PROTOCOL_VERSION
+from panobench.types import RunStatus
+from panobench.writing import writing
+
+#: Metrics that others rely on: there in every run, null where not measured.
+METRIC_NAMES = (
+    "ate_rmse_m",
+    "ate_keyframes_rmse_m",
+    "rpe_trans_rmse_m",
+    "tracked",
+    "psnr_db",
+    "ssim",
+    "lpips",
+    "pano_psnr_db",
+    "ws_psnr_db",
+    "holdout_psnr_db",
+    "novel_psnr_db",
+)
+
+
+@dataclass
+class SpecRecord(JsonRecord):
+    """What was run: the run options as they took effect, and what they came to.
+
+    In the file the options stand beside the rest, each under its name; here they are in ``other``. sequence and depth
+    are those that were used. config: all options of the method. camera_model: the camera of its images.
+    """
+
+    config: dict[str, Any] = field(default_factory=dict)
+    camera_model: dict[str, Any] | None = None
+
+    @classmethod
+    def of(cls, request: RunRequest, **used: Any) -> SpecRecord:
+        """Of a request; ``used`` are further fields, and options that came out otherwise than asked for."""
+        own = {k: used.pop(k) for k in ("config", "camera_model") if k in used}
+        return cls(**own, other={**request.to_dict(), **used})
+
+    def to_dict(self) -> dict[str, Any]:
+        """The options first."""
+        return {**self.other, "config": self.config, "camera_model": self.camera_model}
+
+    def option(self, name: str) -> Any:
+        """The value of a run option; its default where the run was stored before there was such an option."""
+        option = next(option for option in run_options() if option.name == name)
+        value = fit(self.other[name], option.type) if name in self.other else UNFIT
+        return option.default if value is UNFIT else value
+
+    def _text(self, name: str) -> str:
+        value = self.other.get(name)
+        return value if isinstance(value, str) else ""
+
+    @property
+    def method(self) -> str:
+        """The method's name, "" if the file does not say."""
+        return self._text("method")
+
+    @property
+    def dataset(self) -> str:
+        """The dataset's name, "" if the file does not say."""
+        return self._text("dataset")
+
+    @property
+    def sequence(self) -> str:
+        """The sequence's name, "" if the file does not say."""
+        return self._text("sequence")
+
+    @property
+    def seed(self) -> int | None:
+        """The seed, None if the file does not say."""
+        value = number(self.other.get("seed"))
+        return None if value is None else int(value)
+
+    def variants(self) -> dict[str, str]:
+        """As text, the options that may set runs of one method on one sequence apart; without those not given."""
+        values = {option.name: self.option(option.name) for option in run_options() if option.label is not None}
+        return {name: value_text(value) for name, value in values.items() if value not in (None, "", {}, [])}
+
+
+@dataclass
+class MethodRecord(JsonRecord):
+    """What the method says about itself; see MethodSpec. origin: the package it came with."""
+
+    name: str = ""
+    origin: str = ""
+    contract: str = ""
+    licence: str = ""
+    citation: str = ""
+    needs: list[str] = field(default_factory=list)
+
+
+@dataclass
+class TimingRecord(JsonRecord):
+    """Seconds, frames per second, and resources of the method alone; see docs/protocol.md. None: not measured."""
+
+    fps: float | None = None
+    tracking_fps: float | None = None
+    latency_p50_s: float | None = None
+    latency_p95_s: float | None = None
+    start_s: float | None = None
+    finish_s: float | None = None
+    wall_s: float | None = None
+    evaluation_s: float | None = None
+    peak_rss_bytes: float | None = None
+    cpu_s: float | None = None
+
+
+@dataclass
+class FramesRecord(JsonRecord):
+    """How many frames were given to the method, were planned to be, have a pose, and were held out of the map."""
+
+    given: int = 0
+    planned: int | None = None
+    tracked: int = 0
+    held_out: int = 0
+
+
+@dataclass
+class DepthRecord(JsonRecord):
+    """Where the map's first depth came from.
+
+    source: the estimator, "input" for depth given with every frame. oracle: the dataset's own depth was used.
+    poses_given: the method was given true poses. frame, ok, message, range: of the estimate; range are the 2nd and
+    98th percentile.
+    """
+
+    source: str | None = None
+    oracle: bool = False
+    poses_given: bool = False
+    frame: int | None = optional()
+    ok: bool | None = optional()
+    message: str | None = optional()
+    range: list[float] | None = optional()
+
+
+@dataclass
+class MapRecord(JsonRecord):
+    """The map file in the run's folder."""
+
+    file: str = ""
+    gaussians: int | None = None
+    bytes: int | None = None
+
+
+@dataclass
+class CellRecord(JsonRecord):
+    """The cell of a suite that a run belongs to. key: hash of all that its result depends on; identity: of the cell."""
+
+    suite: str = ""
+    key: str = ""
+    identity: str = ""
+    label: str = ""
+    repeat: int = 0
+    limits: dict[str, float] = field(default_factory=dict)
+    attempt: int = 1
+
+
+@dataclass
+class ImportedRecord(JsonRecord):
+    """The file a trajectory was imported from, and how it was read; see ImportOptions."""
+
+    trajectory: str = ""
+    sha256: str = ""
+    format: str | None = None
+    inverse: bool = False
+    time_offset_s: float = 0.0
+    renders: str | None = None
+
+
+@dataclass
+class RescoredRecord(JsonRecord):
+    """Protocol and status that a run had when it was made."""
+
+    protocol: str = ""
+    status: str = ""
+
+
+@dataclass
+class RunRecord(JsonRecord):
+    """Everything in run.json.
+
+    status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
+    metric: the method says that its scale is metres. notes: metric -> why it is None. keyframes: indices of frames.
+    groundtruth: whether there was any. remarks: what the dataset says about its data. extra: what the method reports.
+    isolation: what the process that watched the run measured.
+    """
+
+    schema: int = SCHEMA
+    status: str = ""
+    message: str = ""
+    origin: str = "measured"
+    spec: SpecRecord = field(default_factory=SpecRecord)
+    method: MethodRecord = field(default_factory=MethodRecord)
+    protocol: str = ""
+    metric: bool = False
+    metrics: dict[str, float | None] = field(default_factory=dict)
+    notes: dict[str, str] = field(default_factory=dict)
+    timing: TimingRecord = field(default_factory=TimingRecord)
+    frames: FramesRecord = field(default_factory=FramesRecord)
+    keyframes: list[int] = field(default_factory=list)
+    depth: DepthRecord = field(default_factory=DepthRecord)
+    groundtruth: bool = False
+    remarks: list[str] = field(default_factory=list)
+    extra: dict[str, Any] = field(default_factory=dict)
+    provenance: ProvenanceRecord = field(default_factory=ProvenanceRecord)
+    map: MapRecord | None = None
+    cell: CellRecord | None = optional()
+    isolation: dict[str, Any] | None = optional()
+    imported: ImportedRecord | None = optional()
+    rescored_from: RescoredRecord | None = optional()
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run went well."""
+        return self.status == RunStatus.OK.value
+
+    def number(self, name: str) -> float | None:
+        """A metric or a timing by its name; None where it was not measured."""
+        value = self.metrics.get(name)
+        return value if value is not None else number(getattr(self.timing, name, self.timing.other.get(name)))
+
+
+def empty_record(request: RunRequest, status: RunStatus, message: str) -> RunRecord:
+    """Of a run that has no results."""
+    return RunRecord(
+        status=status.value,
+        message=" ".join(message.split()),
+        spec=SpecRecord.of(request),
+        method=MethodRecord(name=request.method),
+        protocol=PROTOCOL_VERSION,
+        metrics={**dict.fromkeys(METRIC_NAMES), "tracked": 0.0},
+    )
+
+
+def read_record(folder: Path) -> RunRecord:
+    """The record of a run folder. Raises InputError naming file and line when run.json is not usable."""
+    return RunRecord.from_dict(read_run_json(folder))
+
+
+def write_record(folder: Path, record: RunRecord) -> None:
+    """Write run.json below ``folder``."""
+    write_json(folder / RUN_JSON, record.to_dict())
+
+
+def replace_record(folder: Path, record: RunRecord) -> None:
+    """Replace run.json by a rename: a reader sees the old or the new one. Raises OutputError."""
+    part = folder / f".{RUN_JSON}.{os.getpid()}.part"
+    try:
+        with writing(folder):
+            write_json(part, record.to_dict())
+            os.replace(part, folder / RUN_JSON)
+    finally:
+        part.unlink(missing_ok=True)
