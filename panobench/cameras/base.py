@@ -1,6 +1,6 @@
-"""The camera contract. Every model projects, unprojects and round-trips to 1e-6 px where valid.
+"""The camera contract. Every model projects and unprojects, and round-trips to 1e-6 px where valid.
 
-Pixel centres are at k + 0.5; camera frame x right, y down, z forward.
+Pixel centres are at k + 0.5. Camera frame: x right, y down, z forward.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Array = NDArray[np.float64]
 class Camera(ABC):
     """A central camera of ``width`` x ``height`` pixels. Immutable.
 
-    ``mask`` (H, W) bool or None excludes pixels the lens or rig hides, on top of the model's own limits.
+    mask: (H, W) False for pixels that the lens or the rig hides, besides the model's own limits; None: all are good.
     """
 
     kind: ClassVar[str]
-    #: Widths that ``scaled`` takes are multiples of this.
+    #: ``scaled`` takes multiples of this width.
     width_step: ClassVar[int] = 1
     width: int
     height: int
@@ -33,26 +33,26 @@ class Camera(ABC):
 
     @abstractmethod
     def project(self, points: ArrayLike) -> tuple[Array, NDArray[np.bool_]]:
-        """Points (..., 3) in the camera frame -> pixels (..., 2) as (u, v) and valid (...,).
+        """Project points (..., 3) in the camera frame to pixels (..., 2), (u, v), and whether they are valid (...,).
 
-        Valid means: inside the image and inside the model's domain. Pixels of invalid points may be anything.
+        A valid point is inside the image and the model's domain. The pixels of other points are undefined.
         """
 
     @abstractmethod
     def unproject(self, pixels: ArrayLike) -> Array:
-        """Pixels (..., 2) -> unit rays (..., 3); NaN where the model has no ray."""
+        """Unit rays (..., 3) of pixels (..., 2); NaN where the model has no ray."""
 
     @abstractmethod
     def jacobian(self, points: ArrayLike) -> Array:
-        """d(u, v) / d(point), (..., 2, 3), at points (..., 3)."""
+        """Derivative d(u, v) / d(point), (..., 2, 3), at points (..., 3)."""
 
     @abstractmethod
     def scaled(self, width: int) -> Camera:
-        """The same view at another width (height follows the aspect ratio); the mask is resized too."""
+        """The same view at another width; the height keeps the aspect ratio, and the mask is resized too."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for camera.yaml: {"model": kind, "width": ..., "height": ..., ...} (mask not included)."""
+        """Plain values for camera.yaml, without the mask: {"model": kind, "width": ..., "height": ..., ...}."""
 
     @classmethod
     @abstractmethod
@@ -64,13 +64,13 @@ class Camera(ABC):
         """A copy with another mask (H, W)."""
 
     def seams(self) -> Seams:
-        """What lies beyond the image's borders, for interpolation; by default nothing."""
+        """How interpolation continues across the image's borders; by default it does not."""
         from panobench.cameras.seams import Seams
 
         return Seams(self.width, self.height)
 
     def pixel_grid(self) -> Array:
-        """Centres of all pixels, (H, W, 2)."""
+        """(H, W, 2) centres of all pixels."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         return np.stack([u, v], axis=-1)
 
@@ -79,19 +79,19 @@ class Camera(ABC):
         return self.unproject(self.pixel_grid())
 
     def rays(self) -> Array:
-        """Unit rays of all pixel centres (H, W, 3); NaN where the model has none. Cached: do not write into it."""
+        """Unit rays (H, W, 3) of all pixel centres; NaN where the model has none. Cached: do not change it."""
         return self._rays
 
     def valid_mask(self) -> NDArray[np.bool_]:
-        """(H, W): the pixel has a ray, lies in the model's field of view and is not masked."""
+        """(H, W) whether a pixel has a ray, lies in the model's field of view and is not masked."""
         valid = np.isfinite(self.rays()).all(axis=-1)
         return np.asarray(valid if self.mask is None else valid & self.mask)
 
     def solid_angle(self) -> Array:
-        """(H, W) steradians covered by each pixel (0 where it has no ray); sums to the coverage.
+        """(H, W) solid angle of each pixel, steradians; 0 where it has no ray.
 
-        Default: area of the two spherical triangles between the rays of the pixel's corners
-        (Van Oosterom & Strackee 1983); at the rim, where a corner has no ray, 1 / |dr_u x dr_v| from the Jacobian.
+        By default it is the area of two spherical triangles between the rays of the pixel's corners (Van Oosterom &
+        Strackee 1983). At the rim, where a corner has no ray, it is 1 / |dr_u x dr_v| from the Jacobian.
         """
         u, v = np.meshgrid(np.arange(self.width + 1.0), np.arange(self.height + 1.0))
         r = self.unproject(np.stack([u, v], axis=-1))

@@ -25,7 +25,7 @@ FACES = ("front", "right", "back", "left", "up", "down")
 
 @dataclass(frozen=True, eq=False)
 class CubemapCamera(ParametricCamera):
-    """A strip 6 n wide and n high. Faces that touch in the strip need not be neighbours, and the other way round."""
+    """A strip 6 n wide and n high. Faces that touch in the strip need not be neighbours on the cube."""
 
     kind = "cubemap"
     width_step = 6
@@ -53,7 +53,7 @@ class CubemapCamera(ParametricCamera):
         n = self.height
         face, q = self._face_points(p)
         with np.errstate(invalid="ignore", divide="ignore"):
-            inside = np.nextafter(n, 0)  # an edge belongs to the face that was chosen, not to the next in the strip
+            inside = np.nextafter(n, 0)  # an edge belongs to the chosen face, not to the next one in the strip
             a = np.clip(n / 2 * (1 + q[..., 0] / q[..., 2]), 0, inside)
             b = np.clip(n / 2 * (1 + q[..., 1] / q[..., 2]), 0, inside)
         valid = np.isfinite(p).all(axis=-1) & (p != 0).any(axis=-1)
@@ -62,12 +62,12 @@ class CubemapCamera(ParametricCamera):
     def unproject(self, pixels: ArrayLike) -> Array:
         u, v = as_pixels(pixels)
         with np.errstate(invalid="ignore"):
-            # The strip's right border is the last face's, and a NaN has to index something.
+            # The strip's right border belongs to the last face, and NaN needs some index.
             face = np.clip(np.nan_to_num(u // self.height), 0, 5).astype(np.intp)
         return self.unproject_face(u, v, face)
 
     def unproject_face(self, u: Array, v: Array, face: NDArray[np.intp]) -> Array:
-        """Rays of pixels taken to lie on given faces: a face's right border has the next one's pixel coordinate."""
+        """Rays of pixels on given faces; the right border of a face has the pixel coordinate of the next one."""
         n = self.height
         a, b = 2 * (u - face * n) / n - 1, 2 * v / n - 1
         ok = (a >= -1) & (a <= 1) & (b >= -1) & (b <= 1)
@@ -86,7 +86,7 @@ class CubemapCamera(ParametricCamera):
             return np.asarray(self.height / 2 * np.stack([du, dv], axis=-2) @ self.rotations[face])
 
     def solid_angle(self) -> Array:
-        """Exact: the integral of (1 + a^2 + b^2)^(-3/2) over the pixel, by its corners."""
+        """As ``Camera.solid_angle``, exact: the integral of (1 + a^2 + b^2)^(-3/2) over the pixel."""
         edge = np.linspace(-1.0, 1.0, self.height + 1)
         a, b = edge[None, :], edge[:, None]
         corner = np.arctan2(a * b, np.sqrt(1 + a * a + b * b))

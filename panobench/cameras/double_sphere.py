@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from panobench.cameras.base import Array
-from panobench.cameras.parametric import ParametricCamera, as_pixels, as_points, normalised, stack_jacobian
+from panobench.cameras.parametric import ParametricCamera, as_pixels, as_points, normalised, quotient_jacobian
 from panobench.errors import CalibrationError
 
 
@@ -79,11 +79,3 @@ class DoubleSphereCamera(ParametricCamera):
 
     def _scaled_numbers(self, sx: float, sy: float) -> dict[str, Any]:
         return {"fx": self.fx * sx, "fy": self.fy * sy, "cx": self.cx * sx, "cy": self.cy * sy}
-
-
-def quotient_jacobian(fx: float, fy: float, x: Array, y: Array, n: Array, dn: tuple[Array, Array, Array]) -> Array:
-    """Jacobian of (fx x / n, fy y / n) for n(x, y, z) with gradient ``dn``."""
-    i, i2 = 1 / n, 1 / (n * n)
-    du = (fx * (i - x * dn[0] * i2), -fx * x * dn[1] * i2, -fx * x * dn[2] * i2)
-    dv = (-fy * y * dn[0] * i2, fy * (i - y * dn[1] * i2), -fy * y * dn[2] * i2)
-    return stack_jacobian(du, dv)

@@ -23,8 +23,8 @@ from panobench.geometry import directions_from_lonlat, lonlat_from_directions
 class ErpCamera(ParametricCamera):
     """A 2:1 panorama on the full-sphere pixel grid.
 
-    A limited field of view (``hfov_deg`` centred on the forward axis, latitudes ``lat_min_deg``..``lat_max_deg``)
-    only makes the other pixels invalid: the image stays W x H and every pixel keeps its ray.
+    A limited field of view (``hfov_deg`` centred on the forward axis, latitudes ``lat_min_deg`` to ``lat_max_deg``)
+    only makes the other pixels invalid: the image stays W x H, and every pixel keeps its ray.
     """
 
     kind = "erp"
@@ -71,7 +71,7 @@ class ErpCamera(ParametricCamera):
         return np.stack([u, v], axis=-1), valid
 
     def unproject(self, pixels: ArrayLike) -> Array:
-        """u wraps around (any value is a longitude); NaN above and below the poles."""
+        """As ``Camera.unproject``; u wraps around, since any value is a longitude; NaN beyond the poles."""
         u, v = as_pixels(pixels)
         lon = (u / self.width - 0.5) * (2 * np.pi)
         lat = (0.5 - v / self.height) * np.pi
@@ -79,7 +79,7 @@ class ErpCamera(ParametricCamera):
         return np.where((np.isfinite(u) & (v >= 0) & (v <= self.height))[..., None], rays, np.nan)
 
     def jacobian(self, points: ArrayLike) -> Array:
-        """Infinite on the polar axis, where longitude is undefined."""
+        """As ``Camera.jacobian``; infinite on the polar axis, where the longitude is undefined."""
         x, y, z = as_points(points)
         h2 = x * x + z * z
         h, r2 = np.sqrt(h2), h2 + y * y

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from panobench.cameras.base import Array
-from panobench.cameras.double_sphere import quotient_jacobian
-from panobench.cameras.parametric import ParametricCamera, as_pixels, as_points, normalised
+from panobench.cameras.parametric import ParametricCamera, as_pixels, as_points, normalised, quotient_jacobian
 from panobench.errors import CalibrationError
 
 

@@ -1,4 +1,4 @@
-"""Cameras from plain values, and from what users type after `--camera` and `--to`."""
+"""Cameras from plain values and from the options `--camera` and `--to`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class CameraChoice(NamedTuple):
 
 
 def camera_from_dict(values: dict[str, Any]) -> Camera:
-    """The camera that ``to_dict`` described; its "model" is any registered camera. Raises CalibrationError."""
+    """The camera of which ``to_dict`` gave the values; "model" is any registered camera. Raises CalibrationError."""
     from panobench.plugins import registry
     from panobench.specs import CameraSpec
 
@@ -38,7 +38,7 @@ def camera_from_dict(values: dict[str, Any]) -> Camera:
 
 
 def parse_fov(text: str | float | tuple[float, float] | None) -> tuple[float, float | None] | None:
-    """ "120" or "120x60" -> horizontal and vertical field of view in degrees (None where not given)."""
+    """Horizontal and vertical field of view, degrees, of "120" or "120x60"; None for what is not given."""
     if text is None:
         return None
     parts = text.lower().split("x") if isinstance(text, str) else np.atleast_1d(text).tolist()
@@ -82,7 +82,7 @@ def parse_camera_option(
 
 
 def pixels_per_radian(camera: Camera) -> float:
-    """Angular resolution in the middle of what the camera sees: 1 / sqrt(median solid angle of a pixel)."""
+    """Angular resolution of a typical pixel: 1 / sqrt(median solid angle)."""
     step = camera.width_step
     small = camera if camera.width <= 256 else camera.scaled(max(1, 256 // step) * step)
     area = small.solid_angle()
@@ -93,7 +93,7 @@ def _erp(source: Camera, width: int | None, fov: tuple[float, float | None] | No
     from panobench.cameras.erp import ErpCamera
 
     if width is None:
-        # The largest power of two that does not invent resolution.
+        # The largest power of two that does not exceed the source's resolution.
         width = 1 << max(6, int(np.log2(2 * np.pi * pixels_per_radian(source) * 1.05)))
     if width % 2:
         raise UsageError(f"a panorama's width must be even, not {width}")
@@ -118,7 +118,7 @@ def _pinhole(source: Camera, width: int | None, fov: tuple[float, float | None] 
 
 
 def _fisheye(source: Camera, width: int | None, fov: tuple[float, float | None] | None) -> Camera:
-    """Equidistant, 190 degrees across the image circle unless said otherwise."""
+    """An equidistant fisheye, by default of 190 degrees across the image circle."""
     from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 
     cone = 190.0 if fov is None else fov[0]
@@ -156,7 +156,7 @@ def _multiple(value: float, step: int) -> int:
 
 
 def _registered(model: str, source: Camera, width: int | None) -> CameraChoice:
-    """A model that needs a calibration can only be the source's own."""
+    """The source's own model; any other that needs a calibration is refused."""
     from panobench.plugins import registry
     from panobench.specs import CameraSpec
 

@@ -1,4 +1,4 @@
-"""Saying in words what a camera sees."""
+"""What a camera sees, as angles and in words for messages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from panobench.geometry import lonlat_from_directions
 def view_extent(camera: Camera, R: Array | None = None) -> tuple[float, float, float, float] | None:
     """Smallest longitude arc (start, end) and latitude range of the valid rays, degrees; None if there are none.
 
-    ``R`` turns the rays first. The arc's end may exceed 180 where it crosses the seam; a full turn is -180..180.
+    R: rotates the rays first. The end of the arc may exceed 180 if it crosses the seam; the full circle is -180..180.
     """
     rays = camera.rays()[camera.valid_mask()]
     if len(rays) == 0:
@@ -31,7 +31,7 @@ def view_extent(camera: Camera, R: Array | None = None) -> tuple[float, float, f
 
 
 def describe_view(camera: Camera, R: Array | None = None) -> str:
-    """For messages: "longitude -60..60, latitude -30..30 deg"; ``R`` turns the camera's rays first."""
+    """For messages: "longitude -60..60, latitude -30..30 deg". R: rotates the camera's rays first."""
     extent = view_extent(camera, R)
     if extent is None:
         return "nothing (no valid pixel)"

@@ -1,4 +1,4 @@
-"""How large a target pixel is in the source image: decides how much to filter before sampling."""
+"""The size of a target pixel in the source image, which decides how much is filtered before sampling."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from panobench.cameras.base import Array, Camera
 
-#: Source pixels between neighbouring samples above which aliasing shows.
+#: Source pixels between neighbouring samples above which aliasing is visible.
 _MAX_STEP = 1.6
 #: ``cv2.remap`` addresses pixels with 16 bits.
 _MAX_REMAP_SIDE = 32767
@@ -25,8 +25,8 @@ class Sampling:
 def stretch(source: Camera, target: Camera, R_target_source: Array, samples: int = 128) -> tuple[Array, Array]:
     """Source pixels per target pixel along the target's rows and columns, (n,) each, on a coarse grid.
 
-    Uses the source's Jacobian, so seams do not matter. A panorama's columns count by their arc, cos(lat) of what
-    they are at the equator: near the poles its extra columns carry no detail.
+    From the source's Jacobian, so seams do not matter. A panorama's columns are weighted by cos(latitude), since near
+    the poles its extra columns carry no detail.
     """
     u = (np.arange(min(samples, target.width)) + 0.5) * max(1.0, target.width / samples)
     v = (np.arange(min(samples, target.height)) + 0.5) * max(1.0, target.height / samples)
@@ -49,7 +49,7 @@ def stretch(source: Camera, target: Camera, R_target_source: Array, samples: int
 
 
 def choose_sampling(source: Camera, target: Camera, R_target_source: Array) -> Sampling:
-    """No filter when magnifying; a supersampled, if need be pre-shrunk, source when minifying."""
+    """The sampling of a reprojection: plain when magnifying; supersampled, perhaps after shrinking, when minifying."""
     along, down = stretch(source, target, R_target_source)
     if along.size == 0:
         return Sampling()

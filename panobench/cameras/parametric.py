@@ -1,4 +1,4 @@
-"""What all built-in models share: immutability, masks, comparison, scaling and strict reading of plain values."""
+"""What the built-in models share: immutability, masks, comparison, scaling, and strict reading of plain values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from panobench.errors import CalibrationError, UsageError
 
 C = TypeVar("C", bound="ParametricCamera")
 
-#: Larger than any sensor; a bigger number in a file is a mistake, not a camera.
+#: Larger than any sensor: a bigger number in a file is a mistake.
 MAX_SIDE = 65536
 MAX_PIXELS = 200_000_000
 
@@ -85,7 +85,7 @@ class ParametricCamera(Camera):
         return dataclasses.replace(self, width=width, height=height, mask=mask, **changes)
 
     def _scaled_numbers(self, sx: float, sy: float) -> dict[str, Any]:
-        """Field values that change when pixels become ``sx``, ``sy`` times smaller or larger."""
+        """The fields that change when the image's width and height are multiplied by ``sx`` and ``sy``."""
         raise NotImplementedError
 
     def to_dict(self) -> dict[str, Any]:
@@ -123,12 +123,12 @@ class ParametricCamera(Camera):
         return hash((type(self), *self._numbers().values(), None if self.mask is None else self.mask.tobytes()))
 
     def _inside(self, u: Array, v: Array) -> NDArray[np.bool_]:
-        """Pixel coordinates inside the image: 0 <= u < W, 0 <= v < H; False for NaN."""
+        """Whether pixels are inside the image: 0 <= u < W and 0 <= v < H; False for NaN."""
         return np.asarray((u >= 0) & (u < self.width) & (v >= 0) & (v < self.height))
 
 
 def resize_mask(mask: NDArray[np.bool_], width: int, height: int) -> NDArray[np.bool_]:
-    """A mask (H, W) at another size; a pixel stays valid only if nearly all of it was (area filter)."""
+    """A mask (H, W) at another size, by an area filter; a pixel is valid if at least 99% of it was."""
     import cv2
 
     method = cv2.INTER_AREA if width < mask.shape[1] else cv2.INTER_LINEAR
@@ -136,21 +136,29 @@ def resize_mask(mask: NDArray[np.bool_], width: int, height: int) -> NDArray[np.
 
 
 def as_points(points: ArrayLike) -> tuple[Array, Array, Array]:
-    """(..., 3) -> x, y, z as float64 arrays (...,)."""
+    """x, y and z of points (..., 3) as float64 arrays (...,)."""
     p = np.asarray(points, dtype=np.float64)
     return p[..., 0], p[..., 1], p[..., 2]
 
 
 def as_pixels(pixels: ArrayLike) -> tuple[Array, Array]:
-    """(..., 2) -> u, v as float64 arrays (...,)."""
+    """u and v of pixels (..., 2) as float64 arrays (...,)."""
     p = np.asarray(pixels, dtype=np.float64)
     return p[..., 0], p[..., 1]
 
 
 def stack_jacobian(du: tuple[Any, Any, Any], dv: tuple[Any, Any, Any]) -> Array:
-    """Six partial derivatives (...,) -> (..., 2, 3)."""
+    """The matrix (..., 2, 3) of six partial derivatives (...,)."""
     rows = [np.stack(np.broadcast_arrays(*d), axis=-1) for d in (du, dv)]
     return np.asarray(np.stack(rows, axis=-2), dtype=np.float64)
+
+
+def quotient_jacobian(fx: float, fy: float, x: Array, y: Array, n: Array, dn: tuple[Array, Array, Array]) -> Array:
+    """Jacobian of (fx x / n, fy y / n) for n(x, y, z) with gradient ``dn``."""
+    i, i2 = 1 / n, 1 / (n * n)
+    du = (fx * (i - x * dn[0] * i2), -fx * x * dn[1] * i2, -fx * x * dn[2] * i2)
+    dv = (-fy * y * dn[0] * i2, fy * (i - y * dn[1] * i2), -fy * y * dn[2] * i2)
+    return stack_jacobian(du, dv)
 
 
 def normalised(rays: Array, valid: NDArray[np.bool_] | None = None) -> Array:
@@ -174,7 +182,7 @@ def _plain(value: Any) -> Any:
 
 
 def _typed(name: str, value: Any) -> Any:
-    """Values from a file: numbers, strings, or lists of numbers (become tuples)."""
+    """A value from a file: a number, a string, or a list of numbers, which becomes a tuple."""
     if isinstance(value, (list, tuple)):
         return tuple(float(_typed(name, v)) for v in value)
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):

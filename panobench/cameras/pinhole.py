@@ -39,7 +39,7 @@ class PinholeCamera(ParametricCamera):
 
     @classmethod
     def from_fov(cls, width: int, hfov_deg: float, vfov_deg: float) -> PinholeCamera:
-        """Square pixels as nearly as whole rows allow; exactly ``hfov_deg`` x ``vfov_deg``, both below 180."""
+        """A camera of exactly ``hfov_deg`` x ``vfov_deg``, both below 180, and pixels as square as possible."""
         if not 0 < hfov_deg < 180 or not 0 < vfov_deg < 180:
             raise CalibrationError(
                 f"a perspective view covers less than 180 degrees, not {hfov_deg:g}x{vfov_deg:g}; use erp or fisheye"

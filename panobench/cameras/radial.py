@@ -1,4 +1,4 @@
-"""What rotationally symmetric models share: image radius as a function of the point's polar angle."""
+"""Derivatives that rotationally symmetric models share: their image radius depends only on the polar angle."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Array
 from panobench.errors import CalibrationError
 
-#: Normalised radius beyond which no polynomial is trusted (84 degrees off a pinhole's axis).
+#: Normalised radius beyond which no polynomial is used: 84 degrees from the optical axis.
 _MAX_RADIUS = 10.0
 #: dx'/dx, dx'/dy, dy'/dx, dy'/dy
 Partials = tuple[Array, Array, Array, Array]
@@ -37,7 +37,7 @@ class RadTan:
         self.max_r2 = self._find_max_r2()
 
     def _find_max_r2(self) -> float:
-        """Squared radius up to which r g(r) grows, i.e. the radial part can be undone."""
+        """Squared radius up to which r g(r) grows, so that the radial part can be inverted."""
         r = np.linspace(0.0, _MAX_RADIUS, 4001)
         g, dg = self._radial(r * r)
         growing = (g > 0) & (g + 2 * r * r * dg > 0)
@@ -72,7 +72,7 @@ class RadTan:
         return np.asarray((x * x + y * y <= self.max_r2) & (a * d - b * c > 0))
 
     def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Newton's method, kept inside the radius where it can work; False where there is no solution."""
+        """Undistorted x, y and whether there is a solution, by Newton's method inside the invertible radius."""
         limit = np.sqrt(self.max_r2)
         x, y = xd.copy(), yd.copy()
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

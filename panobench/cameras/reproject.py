@@ -1,4 +1,4 @@
-"""Any camera seen through any other at the same place: images, radial depth, masks and poses.
+"""Reprojection from any camera to any other at the same position: images, radial depth, masks and poses.
 
 The map from target to source pixels is computed once; each image then costs one ``cv2.remap``. Float maps are kept:
 with OpenCV 5 four-channel float remapping is faster than fixed-point maps, and exact where pixels coincide.
@@ -23,10 +23,10 @@ from panobench.errors import CalibrationError, UnsupportedError
 
 #: Samples mapped at a time, to bound memory.
 _CHUNK = 1 << 18
-#: A map coordinate outside every image.
+#: A map coordinate that is outside every image.
 _NOWHERE = -100.0
 Array32 = NDArray[np.float32]
-#: Neighbours whose depth differs by more than this share belong to another surface.
+#: Neighbours whose depths differ by more than this share belong to different surfaces.
 _DEPTH_EDGE = 0.05
 
 
@@ -46,10 +46,10 @@ class _Maps:
 
 
 class Reprojector:
-    """Maps what ``source`` saw onto ``target``'s pixels.
+    """Maps the images of ``source`` to ``target``.
 
     source, target:   cameras with the same centre.
-    R_target_source:  takes vectors from the source's axes to the target's.
+    R_target_source:  rotates vectors from the source's axes to the target's.
     antialias:        filter where the target has fewer pixels than the source.
 
     Raises UnsupportedError when the target sees nothing of the source's field of view.
@@ -83,23 +83,23 @@ class Reprojector:
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(H, W): target pixels wholly covered by valid source pixels, and valid in the target itself."""
+        """(H, W) whether a target pixel is valid and wholly covered by valid source pixels."""
         return self._valid
 
     def image(self, image: NDArray[Any]) -> NDArray[Any]:
-        """Source image (H, W) or (H, W, C), any of uint8, uint16, float32 -> target's size; 0 where not valid."""
+        """The target's image of a source image (H, W) or (H, W, C) of uint8, uint16 or float32; 0 where not valid."""
         self._check(image, "image")
         out = self._remap(image)
         return out.reshape(*out.shape[:2], *image.shape[2:])
 
     def mask(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Source mask (H, W) bool -> target mask: pixels wholly covered by true source pixels."""
+        """The target's mask of a source mask (H, W): True for pixels that true source pixels cover wholly."""
         self._check(mask, "mask")
         covered = self._remap(np.asarray(mask, dtype=bool).astype(np.float32))
         return np.asarray(self.valid & (covered > 0.999))
 
     def depth(self, depth: NDArray[Any], method: Literal["nearest", "edge-aware"] = "edge-aware") -> Array32:
-        """Radial depth (H, W), NaN unknown -> radial depth at the target's pixels: distances do not change.
+        """The target's radial depth of a source's (H, W), NaN unknown; distances do not change.
 
         "edge-aware" interpolates between those of the four neighbours that are known and within 5% of the nearest
         known one, so that no point appears between two surfaces. Not filtered when minifying, for the same reason.
@@ -114,11 +114,11 @@ class Reprojector:
         return out
 
     def poses(self, T_wc_source: ArrayLike) -> Array:
-        """Camera-to-world poses (..., 4, 4) of the source -> of the target: T_wc_source [R_source_target]."""
+        """Camera-to-world poses (..., 4, 4) of the target from the source's: T_wc_source [R_source_target]."""
         return rotated_poses(T_wc_source, self.R_target_source)
 
     def _remap(self, image: NDArray[Any]) -> NDArray[Any]:
-        """(H, W[, C]) -> (h, w[, C]); one channel loses its axis."""
+        """An image (H, W[, C]) at the target's size; a single channel loses its axis."""
         level, maps = self._level, self._maps
         if (level.width, level.height) != (self.source.width, self.source.height):
             image = cv2.resize(image, (level.width, level.height), interpolation=cv2.INTER_AREA)
@@ -132,7 +132,7 @@ class Reprojector:
         return cv2.cvtColor(out, cv2.COLOR_RGBA2RGB) if three else out
 
     def _sample_maps(self, level: Camera, grid: int) -> _Maps:
-        """Where the ``grid`` x ``grid`` samples of each target pixel lie in ``level``'s image."""
+        """Positions in the image of ``level`` of the ``grid`` x ``grid`` samples of each target pixel."""
         shape = (self.target.height * grid, self.target.width * grid)
         map_x, map_y = np.full(shape, _NOWHERE, np.float32), np.full(shape, _NOWHERE, np.float32)
         inside = np.zeros(shape, dtype=bool)
@@ -159,7 +159,7 @@ class Reprojector:
 
 
 def sample_depth(padded: Array32, x: Array32, y: Array32, method: Literal["nearest", "edge-aware"]) -> Array32:
-    """Depth (H, W) at columns ``x`` and rows ``y``; NaN neighbours and those across an edge take no part."""
+    """Depth (H, W) at columns ``x`` and rows ``y``; NaN neighbours and those across a depth edge do not count."""
     if method == "nearest":
         return padded[np.rint(y).astype(np.intp), np.rint(x).astype(np.intp)]
     x0 = np.clip(np.floor(x).astype(np.intp), 0, max(padded.shape[1] - 2, 0))
@@ -174,7 +174,7 @@ def sample_depth(padded: Array32, x: Array32, y: Array32, method: Literal["neare
     with np.errstate(invalid="ignore", divide="ignore"):
         w = np.where(np.abs(d - reference) <= _DEPTH_EDGE * reference, w, 0)
         out = np.sum(np.where(w > 0, w * d, 0), axis=0) / np.sum(w, axis=0)
-    # More than half of the weight unknown: rather say so than spread the known part over it.
+    # If more than half of the weight is unknown, the result is unknown too.
     enough = np.sum(np.where(known, np.stack([(1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b]), 0), axis=0) >= 0.5
     return np.where(enough, out, np.nan).astype(np.float32)
 

@@ -26,8 +26,8 @@ from panobench.errors import CalibrationError
 class ScaramuzzaCamera(ParametricCamera):
     """Polynomials in ascending powers; centre in pixels (first pixel's centre at 0.5).
 
-    r_min, r_max: radii (pixels, before the affine part) between which the calibration holds: the image annulus of a
-    panoramic annular lens. Beyond where the polar angle stops growing with the radius nothing is valid anyway.
+    r_min, r_max: radii, in pixels before the affine part, between which the calibration holds: the image annulus of a
+    panoramic annular lens. Where the polar angle no longer grows with the radius, nothing is valid.
     """
 
     kind = "pal"
@@ -67,7 +67,7 @@ class ScaramuzzaCamera(ParametricCamera):
 
     @cached_property
     def _table(self) -> tuple[Array, Array]:
-        """Increasing polar angles and their radii, as far as image, r_max and model reach."""
+        """Increasing polar angles and their radii, within the image, r_max and the invertible part of the model."""
         u = np.array([0.0, self.width, 0.0, self.width]) - self.cx
         v = np.array([0.0, 0.0, self.height, self.height]) - self.cy
         reach = float(np.hypot(*self._straighten(u, v)).max())
@@ -83,7 +83,7 @@ class ScaramuzzaCamera(ParametricCamera):
         return float(self._table[1][-1])
 
     def _straighten(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Undo the affine part."""
+        """Coordinates before the affine part."""
         k = 1 / (self.c - self.d * self.e)
         return k * (u - self.d * v), k * (self.c * v - self.e * u)
 
@@ -93,7 +93,7 @@ class ScaramuzzaCamera(ParametricCamera):
         return np.asarray(np.arctan2(rho, -polyval(rho, self.poly)))
 
     def inverse_error(self, rho: ArrayLike) -> Array:
-        """Inverse polynomial's radius minus ``rho``, pixels, at the rays the forward polynomial gives."""
+        """Radius by the inverse polynomial minus ``rho``, pixels, at the rays of the forward polynomial."""
         if not self.inv_poly:
             return np.zeros(np.shape(rho))
         rho = np.asarray(rho, dtype=np.float64)
@@ -102,7 +102,7 @@ class ScaramuzzaCamera(ParametricCamera):
     def radius(self, h: Array, z: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Image radius of points at distance ``h`` from the axis and ``z`` along it, and whether the model holds.
 
-        Newton's method on z rho + h f(rho) = 0 from a table; the last steps are below rounding.
+        Newton's method on z rho + h f(rho) = 0, started from a table.
         """
         angles, radii = self._table
         angle = np.arctan2(h, z)
@@ -144,7 +144,7 @@ class ScaramuzzaCamera(ParametricCamera):
             return stack_jacobian((du[0], du[1], du[2]), (dv[0], dv[1], dv[2]))
 
     def _scaled_numbers(self, sx: float, sy: float) -> dict[str, Any]:
-        """Radii scale by sy (rho' = sy rho keeps the affine form [c d; e 1]); c and d take up sx / sy."""
+        """As in ``ParametricCamera``. rho' = sy rho keeps the affine form [c d; e 1]; c and d absorb sx / sy."""
         ratio = sx / sy
         return {
             "cx": self.cx * sx,

@@ -1,7 +1,7 @@
-"""How pixels continue across an image's borders, so that interpolation neither bleeds nor breaks there.
+"""How an image continues across its borders, so that interpolation there uses the true neighbours.
 
-A ``Seams`` says where a pixel coordinate lands in an imagined padded image, in which what really lies beyond the
-borders has been added, and cuts the part of it that is needed. For most cameras nothing lies beyond the borders.
+A ``Seams`` maps pixel coordinates to a padded image, which has the true neighbours beyond the borders, and cuts the
+needed part out of it. The images of most cameras end at their borders.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array32 = NDArray[np.float32]
 
 
 class Window(NamedTuple):
-    """Columns x0..x1 and rows y0..y1 (ends excluded) of the padded image."""
+    """Columns x0 to x1 - 1 and rows y0 to y1 - 1 of the padded image."""
 
     x0: int
     x1: int
@@ -36,29 +36,32 @@ class Seams:
         self.width, self.height = width, height
 
     def locate(self, u: Array, v: Array) -> tuple[Array, Array]:
-        """Pixel coordinates (centres at k + 0.5) -> column and row in the padded image (centres at k)."""
+        """Column and row in the padded image (centres at k) of pixel coordinates (centres at k + 0.5)."""
         return np.clip(u - 0.5, 0, self.width - 1), np.clip(v - 0.5, 0, self.height - 1)
 
     def window(self, x: Array32, y: Array32, used: NDArray[np.bool_]) -> Window:
-        """The part of the padded image that interpolation at the ``used`` positions needs; may move ``x`` by turns."""
+        """The part of the padded image that interpolation at the ``used`` positions needs.
+
+        A panorama may add whole widths to ``x``, in place.
+        """
         if not used.any():
             return Window(0, 1, 0, 1)
         x0, y0 = int(np.floor(x[used].min())), int(np.floor(y[used].min()))
         return Window(x0, int(np.ceil(x[used].max())) + 1, y0, int(np.ceil(y[used].max())) + 1)
 
     def cut(self, image: Image, window: Window) -> Image:
-        """That part of the padded ``image`` (H, W[, C]); a view where no padding is in it."""
+        """The part of the padded ``image`` (H, W[, C]) in the window; a view if it has no padding."""
         return image[window.y0 : window.y1, window.x0 : window.x1]
 
 
 class PanoramaSeams(Seams):
-    """A full panorama: columns wrap around; beyond a pole lies the same row, half a turn away."""
+    """A full panorama: columns wrap around, and beyond a pole the same row continues 180 degrees away."""
 
     def locate(self, u: Array, v: Array) -> tuple[Array, Array]:
         return u % self.width + 0.5, np.clip(v, 0, self.height) + 0.5
 
     def window(self, x: Array32, y: Array32, used: NDArray[np.bool_]) -> Window:
-        """Columns start after the widest gap, so that a view across the seam does not need the whole panorama."""
+        """As ``Seams.window``; it starts after the widest gap, so that views across the seam stay small."""
         if not used.any():
             return Window(0, 1, 0, 1)
         columns = np.flatnonzero(np.bincount(x[used].astype(np.intp) % self.width, minlength=self.width))
@@ -74,15 +77,15 @@ class PanoramaSeams(Seams):
             return image[y0 - 1 : y1 - 1, x0 - 1 : x1 - 1]
         out = np.empty((y1 - y0, x1 - x0, *image.shape[2:]), image.dtype)
         top, bottom = max(y0, 1), min(y1, h + 1)
-        _copy_turned(out[top - y0 : bottom - y0], image[top - 1 : bottom - 1], x0 - 1)
+        _copy_wrapped(out[top - y0 : bottom - y0], image[top - 1 : bottom - 1], x0 - 1)
         if y0 == 0:
-            _copy_turned(out[:1], image[:1], x0 - 1 + w // 2)
+            _copy_wrapped(out[:1], image[:1], x0 - 1 + w // 2)
         if y1 == h + 2:
-            _copy_turned(out[-1:], image[-1:], x0 - 1 + w // 2)
+            _copy_wrapped(out[-1:], image[-1:], x0 - 1 + w // 2)
         return out
 
 
-def _copy_turned(out: Image, image: Image, start: int) -> None:
+def _copy_wrapped(out: Image, image: Image, start: int) -> None:
     """Fill ``out`` with the columns of ``image`` from ``start`` on, around the panorama."""
     width, done = image.shape[1], 0
     while done < out.shape[1]:
@@ -93,12 +96,12 @@ def _copy_turned(out: Image, image: Image, start: int) -> None:
 
 
 class CubemapSeams(Seams):
-    """A strip of faces: each is framed by one pixel of its true neighbours on the cube."""
+    """A strip of faces, each with a border of one pixel from its true neighbours on the cube."""
 
     def __init__(self, camera: CubemapCamera) -> None:
         super().__init__(camera.width, camera.height)
         n = camera.height
-        k = np.arange(n + 2) - 0.5  # centres of a framed face, in the face's own pixels
+        k = np.arange(n + 2) - 0.5  # centres of a face with its border, in the face's own pixels
         a, b = np.meshgrid(2 * k / n - 1, 2 * k / n - 1)
         q = np.stack([a, b, np.ones_like(a)], axis=-1)
         frame = (np.abs(a) > 1) | (np.abs(b) > 1)

@@ -1,6 +1,6 @@
-"""Named viewing directions, and the three perspective views in which the paper judges rendering.
+"""Named viewing directions, and the three perspective views in which the paper evaluates rendering.
 
-A rotation ``R_target_source`` takes a vector from the source camera's axes to the view's: p_t = R p_s. Its rows are
+A rotation ``R_target_source`` rotates a vector from the source camera's axes to the view's: p_t = R p_s. Its rows are
 the view's x (right), y (down) and z (forward) axes written in the source's axes.
 """
 
@@ -45,15 +45,15 @@ class View(NamedTuple):
 def look_rotation(lon_deg: float, lat_deg: float = 0.0, roll_deg: float = 0.0) -> Array:
     """R_target_source (3, 3) of a view towards ``lon_deg``, ``lat_deg`` of the source.
 
-    The view turns by lon about the vertical, then tilts up by lat, then rolls clockwise (seen from behind the
-    camera) by roll about its own forward axis. Looking straight up, the bottom of the image is the forward side.
+    The view yaws by lon about the vertical, then pitches up by lat, then rolls clockwise, seen from behind the camera,
+    by roll about its own forward axis. Looking straight up, the bottom of the image is the forward side.
     """
     a, b, c = np.deg2rad([lon_deg, lat_deg, roll_deg])
     yaw = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
     tilt = np.array([[1, 0, 0], [0, np.cos(b), np.sin(b)], [0, -np.sin(b), np.cos(b)]])
     roll = np.array([[np.cos(c), np.sin(c), 0], [-np.sin(c), np.cos(c), 0], [0, 0, 1]])
     R = roll @ tilt @ yaw
-    exact = np.round(R)  # quarter turns stay free of rounding errors
+    exact = np.round(R)  # rotations by multiples of 90 degrees stay exact
     return np.where(np.abs(R - exact) < 1e-15, exact, R) + 0.0
 
 
@@ -90,13 +90,13 @@ def paper_views(width: int = 480) -> list[View]:
 
 
 def rotated_poses(T_wc_source: ArrayLike, R_target_source: ArrayLike) -> Array:
-    """Camera-to-world poses (..., 4, 4) of a camera at the same place with axes turned by ``R_target_source``."""
+    """Camera-to-world poses (..., 4, 4) of a camera at the same position whose axes are rotated by R_target_source."""
     R_source_target = np.asarray(R_target_source, dtype=np.float64).T
     return np.asarray(np.asarray(T_wc_source, dtype=np.float64) @ make_pose(R_source_target, np.zeros(3)))
 
 
 def upright_rotation(camera: Camera) -> Array:
-    """R_upright_camera (3, 3): from a camera's axes to axes in which its panorama stands upright.
+    """R_upright_camera (3, 3): from a camera's axes to axes in which its panorama is upright.
 
     An annular lens (`pal`) is mounted with its axis vertical: its horizon is what other cameras call front. An ERP ray
     (x, y, z) is (x, z, -y) in its axes. Other cameras are upright already.
