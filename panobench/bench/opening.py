@@ -116,7 +116,10 @@ def open_source(request: RunRequest, width: int | None) -> FrameSequence:
 
 
 def _through_camera(request: RunRequest) -> FrameSequence:
-    """The sequence itself if its camera is the one asked for, else converted from its full resolution."""
+    """The sequence itself if its camera is the one asked for, otherwise converted from its full resolution.
+
+    A generator renders for a camera of which the conversion would have to enlarge the images.
+    """
     # A kind of camera alone may be the dataset's own; anything more has to be made.
     kind = registry().get(DatasetSpec, request.dataset).camera
     if (
@@ -128,10 +131,15 @@ def _through_camera(request: RunRequest) -> FrameSequence:
         if source.camera.kind == request.camera:
             return source
     from panobench.cameras.factory import parse_camera_option
+    from panobench.cameras.footprint import ENLARGED, enlargement
     from panobench.datasets.converted import ConvertedSequence
 
     source = open_source(request, None)
     choice = parse_camera_option(request.camera, source.camera, request.width, request.fov)
+    if enlargement(source.camera, choice.camera, choice.R_target_source) > ENLARGED:
+        rendered = source.rendered_by(choice.camera, choice.R_target_source)
+        if rendered is not None:
+            return rendered
     return ConvertedSequence(source, choice.camera, choice.R_target_source)
 
 

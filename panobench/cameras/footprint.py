@@ -10,6 +10,8 @@ from panobench.cameras.base import Array, Camera
 
 #: Source pixels between neighbouring samples above which aliasing is visible.
 _MAX_STEP = 1.6
+#: Images enlarged more than this show that they were: they have no detail at the size of their pixels.
+ENLARGED = 1.5
 #: ``cv2.remap`` addresses pixels with 16 bits.
 _MAX_REMAP_SIDE = 32767
 
@@ -46,6 +48,15 @@ def stretch(source: Camera, target: Camera, R_target_source: Array, samples: int
             steps.append(np.linalg.norm((J @ (2 * difference[..., None]))[..., 0], axis=-1))
     ok = seen & np.isfinite(steps[0]) & np.isfinite(steps[1])
     return steps[0][ok], steps[1][ok]
+
+
+def enlargement(source: Camera, target: Camera, R_target_source: Array) -> float:
+    """Target pixels per source pixel along one axis where the target is enlarged least; 1 keeps the resolution.
+
+    The edges of a wide perspective view are always enlarged, so its middle says whether it has pixels to spare.
+    """
+    along, down = stretch(source, target, R_target_source)
+    return float(1 / np.percentile(np.sqrt(along * down), 95)) if along.size else 1.0
 
 
 def choose_sampling(source: Camera, target: Camera, R_target_source: Array) -> Sampling:

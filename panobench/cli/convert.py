@@ -41,8 +41,8 @@ def convert(
     """Convert a dataset to another camera.
 
     Writes one panobench sequence per sequence and view: images, camera file, mask of what the source saw,
-    radial depth, ground truth moved into the target camera's frame, and the IMU. An interrupted
-    conversion continues when the same command is run again.
+    radial depth, ground truth moved into the target camera's frame, and the IMU. Generated sequences are
+    rendered by the target camera. An interrupted conversion continues when the same command is run again.
     """
     from panobench.datasets.export import ExportOptions, check_writable
     from panobench.datasets.open import open_dataset
@@ -58,7 +58,8 @@ def convert(
     options = ExportOptions(every, image_format, workers or _cores())
     for name in names:
         opened = source.open(name)
-        _convert_one(opened, _targets(opened, to, views, folder, width, fov), options, dry_run, quiet)
+        for seen, targets in _sources(opened, _targets(opened, to, views, folder, width, fov)):
+            _convert_one(seen, targets, options, dry_run, quiet)
 
 
 def _cores() -> int:
@@ -96,6 +97,29 @@ def _targets(
         Target(folder / f"{name}-{view}", parse_camera_option(f"{to}:{view}", opened.camera, width, fov))
         for view in chosen
     ]
+
+
+def _sources(opened: FrameSequence, targets: list[Target]) -> list[tuple[FrameSequence, list[Target]]]:
+    """What each target is made of: a generator renders for every target, a recording is reprojected to all of them.
+
+    A recording that would be enlarged is warned of.
+    """
+    import numpy as np
+
+    from panobench.cameras.factory import CameraChoice
+    from panobench.datasets.converted import enlarged_remark
+    from panobench.datasets.export import Target
+
+    rendered = []
+    for target in targets:
+        choice = target.choice
+        made = opened.rendered_by(choice.camera, choice.R_target_source)
+        if made is not None:
+            rendered.append((made, [Target(target.path, CameraChoice(made.camera, np.eye(3), choice.label))]))
+            continue
+        for remark in enlarged_remark(opened.camera, choice.camera, choice.R_target_source):
+            typer.echo(f"{target.path}: {remark}", err=True)
+    return rendered or [(opened, targets)]
 
 
 def _convert_one(opened: FrameSequence, targets: list[Target], options: object, dry_run: bool, quiet: bool) -> None:

@@ -55,6 +55,13 @@ class FrameSequence(ABC):
         """Views apart from the trajectory with true poses."""
         return []
 
+    def rendered_by(self, camera: Camera, R_target_source: NDArray[np.float64]) -> FrameSequence | None:
+        """For generators: the sequence rendered by another camera at the same place, None for recorded images.
+
+        ``R_target_source`` (3, 3) takes vectors from this camera's axes to the other's.
+        """
+        return None
+
     def remarks(self) -> list[str]:
         """What one must know of the input to judge a result, one line each: frames that could not be decoded, times or
         a layout that were assumed. Asked for when a run begins and when it ends. Wrappers pass their source's on.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.footprint import ENLARGED, enlargement
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import FrameSequence
 from panobench.errors import UnsupportedError
@@ -92,7 +93,8 @@ class ConvertedSequence(FrameSequence):
         return {}
 
     def remarks(self) -> list[str]:
-        return self.source.remarks()
+        r = self.reprojector
+        return [*self.source.remarks(), *enlarged_remark(r.source, r.target, r.R_target_source)]
 
     def provenance(self) -> dict[str, Any]:
         return {
@@ -105,6 +107,15 @@ class ConvertedSequence(FrameSequence):
                 "source_shrunk_by": self.reprojector.sampling.shrink,
             },
         }
+
+
+def enlarged_remark(source: Camera, target: Camera, R_target_source: NDArray[np.float64]) -> list[str]:
+    """A line that says how much images are enlarged on their way to another camera; none if they hardly are."""
+    factor = enlargement(source, target, R_target_source)
+    if factor <= ENLARGED:
+        return []
+    size = f"{source.width}x{source.height} to {target.kind} {target.width}x{target.height}"
+    return [f"images are enlarged {factor:.1f} times or more ({size}), which blurs them; give a smaller --width"]
 
 
 def seen_from(imu: Imu, reprojector: Reprojector) -> Imu:

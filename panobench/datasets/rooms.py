@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
+from panobench.cameras.views import upright_rotation
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.errors import DatasetError, UnknownNameError
 from panobench.rooms import cache
@@ -43,9 +44,10 @@ class RoomSequence(FrameSequence):
         camera: Camera,
         options: RoomOptions,
         progress: Progress | None,
+        R_upright_camera: NDArray[np.float64] | None = None,
     ) -> None:
         self.name, self.kind, self.camera, self.options = name, kind, camera, options
-        self._progress = progress
+        self._progress, self._turned = progress, R_upright_camera
         self._world = World(kind, options.seed, options.frames)
         self.times = np.arange(self._world.frames) / self._world.kind.motion.rate
         values = {
@@ -55,6 +57,8 @@ class RoomSequence(FrameSequence):
         }
         if camera.mask is not None:
             values["mask"] = np.packbits(camera.mask).tobytes().hex()
+        if R_upright_camera is not None:
+            values["rotation"] = np.round(R_upright_camera, 12).tolist()
         self._key = cache.key_of(values)
         self._folder = cache.cache_root() / "rooms" / f"{kind}-{options.seed}-{camera.kind}{camera.width}-{self._key}"
 
@@ -65,7 +69,7 @@ class RoomSequence(FrameSequence):
 
     @cached_property
     def _renderer(self) -> FrameRenderer:
-        return FrameRenderer(self._world, self.camera, self.options)
+        return FrameRenderer(self._world, self.camera, self.options, self._turned)
 
     def _chunk(self, index: int) -> Path:
         """The cache folder with frame ``index``, which is rendered now if it is missing."""
@@ -135,6 +139,12 @@ class RoomSequence(FrameSequence):
             views.append(NovelView(f"{k:03d}", np.asarray(image[..., ::-1]).copy(), self.camera, T))
         return views
 
+    def rendered_by(self, camera: Camera, R_target_source: NDArray[np.float64]) -> RoomSequence:
+        upright = upright_rotation(self.camera) if self._turned is None else self._turned
+        R = upright @ np.asarray(R_target_source, dtype=np.float64).T
+        usual = np.allclose(R, upright_rotation(camera), atol=1e-12)
+        return RoomSequence(self.name, self.kind, camera, self.options, self._progress, None if usual else R)
+
     def provenance(self) -> dict[str, Any]:
         return {
             "generator": "panobench rooms",
@@ -144,6 +154,7 @@ class RoomSequence(FrameSequence):
             "frames": len(self),
             "options": self.options.to_dict(),
             "camera": self.camera.to_dict(),
+            **({} if self._turned is None else {"R_upright_camera": self._turned.tolist()}),
             "key": self._key,
         }
 

@@ -22,15 +22,29 @@ Array = NDArray[np.float64]
 
 
 class FrameRenderer:
-    """Renders the frames of one room seen by one camera. Everything expensive is made when it is first needed."""
+    """Renders the frames of one room seen by one camera. Everything expensive is made when it is first needed.
 
-    def __init__(self, world: World, camera: Camera, options: RoomOptions) -> None:
+    R_upright_camera (3, 3): the camera's axes in those of an upright one that looks ahead. By default cameras look
+    ahead, but an annular lens looks up.
+    """
+
+    def __init__(
+        self, world: World, camera: Camera, options: RoomOptions, R_upright_camera: Array | None = None
+    ) -> None:
         self.world, self.camera, self.options = world, camera, options
+        self._turned = R_upright_camera
 
     @cached_property
     def _mount(self) -> Array:
-        """Pose (4, 4) of the camera in the axes of an upright one: an annular lens looks up."""
-        return make_pose(upright_rotation(self.camera), np.zeros(3))
+        """Pose (4, 4) of the camera in the axes of an upright one."""
+        R = upright_rotation(self.camera) if self._turned is None else self._turned
+        return make_pose(R, np.zeros(3))
+
+    @cached_property
+    def _rays(self) -> Array:
+        """Rays (H, W, 3) in the axes in which an occluder stays in its place."""
+        exact = self._bundle.exact
+        return exact if self._turned is None else exact @ self._turned.T
 
     @cached_property
     def T_wc(self) -> Array:
@@ -64,7 +78,7 @@ class FrameRenderer:
     def depth(self, index: int) -> NDArray[np.float32]:
         """Exact radial depth (H, W) of a frame, metres; NaN where an occluder hides the room. Black frames have it."""
         d = render.depth(self.world.geometry, self._bundle, self.T_wc[index])
-        hidden = effects.occluder(self.options, index, self._bundle.exact)
+        hidden = effects.occluder(self.options, index, self._rays)
         if hidden is not None:
             d[hidden[0] > 0] = np.nan
         return d
@@ -87,7 +101,7 @@ class FrameRenderer:
         slant = effects.row_gain(o, index, self.camera.height)
         if slant is not None:
             linear = linear * slant
-        hidden = effects.occluder(o, index, self._bundle.exact)
+        hidden = effects.occluder(o, index, self._rays)
         if hidden is not None:
             opacity = hidden[0][..., None]
             linear = linear * (1 - opacity) + hidden[1] * opacity

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from panobench.cameras.factory import parse_camera_option
 from panobench.cli.main import run
+from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.open import open_dataset, open_sequence
 from panobench.datasets.synpano import SynPano
 
@@ -241,3 +243,38 @@ def test_palvio_to_erp(tmp_path: Path) -> None:
         grey = room.image(12 * k).astype(float) @ [0.299, 0.587, 0.114]
         error = (sequence.image(k)[..., 0] - grey)[valid]
         assert 10 * np.log10(255**2 / np.mean(error**2)) > 32
+
+
+def test_a_generator_renders_for_the_target(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Views of 512 pixel panoramas at 256 pixels would be enlarged 1.5 times; rendered ones have their own detail."""
+    monkeypatch.setenv("PANOBENCH_CACHE", str(tmp_path / "cache"))
+    out, every = tmp_path / "out", 20
+    arguments = ("rooms", "--sequence", "tiny", "--to", "pinhole", "--views", "front,left", "--every", every)
+    assert convert(*arguments, "--width", 160, "--fov", "60x60", "--out", out) == 0
+    room = open_sequence("rooms", "tiny")
+    for view in ("front", "left"):
+        written = open_sequence("folder", f"tiny-{view}", out)
+        choice = parse_camera_option(f"pinhole:{view}", room.camera, 160, "60x60")
+        reprojected = ConvertedSequence(room, choice.camera, choice.R_target_source)
+        assert written.groundtruth is not None
+        assert reprojected.groundtruth is not None
+        np.testing.assert_allclose(written.groundtruth.T_wc[1], reprojected.groundtruth.T_wc[every], atol=1e-9)
+        sharp, soft = written.image(1).astype(float), reprojected.image(every).astype(float)
+        assert np.abs(sharp - soft).mean() < 8  # the same view
+        assert np.abs(np.diff(sharp, axis=1)).mean() > 1.1 * np.abs(np.diff(soft, axis=1)).mean()
+        depth, expected = written.depth(1), reprojected.depth(every)
+        assert depth is not None
+        assert expected is not None
+        assert np.nanmedian(np.abs(depth - expected)) < 0.02
+
+
+def test_recordings_that_are_enlarged_are_warned_of(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert convert("synpano", "--root", scene, "--to", "pinhole", "--views", "front", "--out", tmp_path / "a") == 0
+    assert "enlarged" not in capsys.readouterr().err
+    wide = ("--to", "pinhole", "--views", "front", "--width", 320, "--out", tmp_path / "b")
+    assert convert("synpano", "--root", scene, *wide) == 0
+    said = capsys.readouterr().err
+    assert "room-front: images are enlarged 4." in said
+    assert "(128x64 to pinhole 320x" in said
