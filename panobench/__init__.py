@@ -11,6 +11,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _EXPORTS = {
+    "panobench.bench.study_record": ("StudyResult",),
     "panobench.cameras.base": ("Camera",),
     "panobench.datasets.base": ("Dataset", "FrameSequence", "Sequence"),
     "panobench.depth.base": ("DepthEstimator",),
@@ -39,7 +40,7 @@ _EXPORTS = {
         "MetricSpec",
         "StudySpec",
     ),
-    "panobench.studies.base": ("StudyRequest", "StudyResult"),
+    "panobench.studies.base": ("StudyRequest",),
     "panobench.types": (
         "DepthEstimate",
         "Estimate",

@@ -30,13 +30,13 @@ def study(
 ) -> None:
     """Regenerate one of the paper's tables or figures; `panobench report DIR` shows it."""
     from panobench.bench.config import parse_settings
+    from panobench.bench.study_record import STUDY_JSON
     from panobench.bench.suite import parse_retry
     from panobench.errors import UsageError
     from panobench.plugins import registry
     from panobench.specs import StudySpec
     from panobench.studies.base import StudyRequest
     from panobench.studies.perform import perform
-    from panobench.studies.stored import STUDY_JSON
 
     if jobs < 1:
         raise UsageError(f"--jobs {jobs}: must be at least 1")

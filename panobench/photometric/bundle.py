@@ -15,10 +15,11 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, se3_exp
+from panobench.kernels.columns import CAM
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
 from panobench.photometric.normal import add_rotation_rows, add_translation_rows
 from panobench.photometric.pyramid import F32
 from panobench.photometric.warp import PER_TURN, project, sample_run
-from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
 
 #: Runs of pixels whose sums are taken apart: the same for every number of threads, so that the sums are too.
 _BLOCKS = 8
@@ -75,7 +76,7 @@ class Bundle:
 @njit(**JIT_FINITE)
 def _jacobians(points, R, t, code, cam, gx, gy, J, jd):  # type: ignore[no-untyped-def]
     """J (6, n) by the left twist and jd (n,) by the log depth, from the image's slopes (n,) at points (3, n)."""
-    a, e = cam[0] * PER_TURN, np.float32(2) * cam[1] * PER_TURN
+    a, e = cam[CAM.width] * PER_TURN, np.float32(2) * cam[CAM.height] * PER_TURN
     for k in range(len(gx)):
         px, py, pz = points[0, k], points[1, k], points[2, k]
         qx = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
@@ -90,7 +91,7 @@ def _jacobians(points, R, t, code, cam, gx, gy, J, jd):  # type: ignore[no-untyp
             jy = q * rho2
             jz = -p * x - q * z * y
         else:
-            jx, jy = gx[k] * cam[2] / z, gy[k] * cam[3] / z
+            jx, jy = gx[k] * cam[CAM.fx] / z, gy[k] * cam[CAM.fy] / z
             jz = -(jx * x + jy * y) / z
         J[0, k], J[1, k], J[2, k] = jx, jy, jz
         J[3, k], J[4, k], J[5, k] = y * jz - z * jy, z * jx - x * jz, x * jy - y * jx

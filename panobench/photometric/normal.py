@@ -12,10 +12,10 @@ import numpy as np
 from numba import get_num_threads, njit, prange
 from numpy.typing import NDArray
 
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import ReferenceLevel
 from panobench.photometric.warp import project, sample_run
-from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
 
 #: Unknowns per step: translation (3), rotation (3), log gain, offset.
 UNKNOWNS = 8

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
 from panobench.photometric.warp import sample, to_pixel
-from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
 
 #: exp(-z) is negligible from here.
 _Z_MAX = np.float32(12)

@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from panobench.splat.kernel_options import PARALLEL
+from panobench.kernels.jit import PARALLEL
 
 F32 = NDArray[np.float32]
 #: Rec. 601 luma.

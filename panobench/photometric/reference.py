@@ -10,9 +10,10 @@ import numpy as np
 from numba import njit, prange
 
 from panobench.cameras.base import Camera
+from panobench.kernels.columns import CAM
+from panobench.kernels.jit import JIT, PARALLEL
 from panobench.photometric.pyramid import F32, halve
 from panobench.photometric.warp import camera_code, halved
-from panobench.splat.kernel_options import JIT, PARALLEL
 
 
 @dataclass(frozen=True)
@@ -92,10 +93,10 @@ def _pixel_angles(code, cam, w, h):  # type: ignore[no-untyped-def]
     out = np.empty((4, max(w, h)))
     if code == 0:
         for x in range(w):
-            lon = ((x + 0.5) / cam[0] - 0.5) * 2 * np.pi
+            lon = ((x + 0.5) / cam[CAM.width] - 0.5) * 2 * np.pi
             out[0, x], out[1, x] = np.sin(lon), np.cos(lon)
         for y in range(h):
-            lat = (0.5 - (y + 0.5) / cam[1]) * np.pi
+            lat = (0.5 - (y + 0.5) / cam[CAM.height]) * np.pi
             out[2, y], out[3, y] = np.sin(lat), np.cos(lat)
     return out
 
@@ -133,17 +134,17 @@ def _select_row(  # type: ignore[no-untyped-def]
             if code == 0:
                 c = angles[3, y]
                 X, Y, Z = c * angles[0, x] * d, -angles[2, y] * d, c * angles[1, x] * d
-                a, b = cam[0] / (2 * np.pi), cam[1] / np.pi
+                a, b = cam[CAM.width] / (2 * np.pi), cam[CAM.height] / np.pi
                 rho, r2 = c * d, d * d
                 rho2 = rho * rho
                 jx = gx * a * Z / rho2 - gy * b * X * Y / (r2 * rho)
                 jy = gy * b * rho / r2
                 jz = -gx * a * X / rho2 - gy * b * Z * Y / (r2 * rho)
             else:
-                rx, ry = (x + 0.5 - cam[4]) / cam[2], (y + 0.5 - cam[5]) / cam[3]
+                rx, ry = (x + 0.5 - cam[CAM.cx]) / cam[CAM.fx], (y + 0.5 - cam[CAM.cy]) / cam[CAM.fy]
                 c, Z = 1.0, d / np.sqrt(rx * rx + ry * ry + 1.0)
                 X, Y = rx * Z, ry * Z
-                jx, jy = gx * cam[2] / Z, gy * cam[3] / Z
+                jx, jy = gx * cam[CAM.fx] / Z, gy * cam[CAM.fy] / Z
                 jz = -(jx * X + jy * Y) / Z
             points[0, n], points[1, n], points[2, n] = X, Y, Z
             jacobian[0, n], jacobian[1, n], jacobian[2, n] = jx, jy, jz

@@ -10,9 +10,11 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from panobench.kernels.columns import CAM
+from panobench.kernels.fast_math import atan2_fast
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
 from panobench.photometric.pyramid import F32
-from panobench.photometric.warp import atan2_fast, sample, to_pixel
-from panobench.splat.kernel_options import JIT, JIT_FINITE, PARALLEL
+from panobench.photometric.warp import sample, to_pixel
 
 
 def padded(frames: F32, wrap: bool) -> F32:
@@ -46,10 +48,10 @@ def _shells_pinhole(depths, rx, ry, rz, tx, ty, tz, cam, u, v):  # type: ignore[
         x, y, z = depths[k] * rx + tx, depths[k] * ry + ty, depths[k] * rz + tz
         front = z >= np.float32(1e-3)
         inv = np.float32(1) / (z if front else np.float32(1))
-        a = cam[2] * x * inv + cam[4] + half
-        b = cam[3] * y * inv + cam[5] + half
-        u[k] = min(max(a, np.float32(0)), cam[0]) if front else np.float32(0)
-        v[k] = min(max(b, np.float32(0)), cam[1]) if front else np.float32(0)
+        a = cam[CAM.fx] * x * inv + cam[CAM.cx] + half
+        b = cam[CAM.fy] * y * inv + cam[CAM.cy] + half
+        u[k] = min(max(a, np.float32(0)), cam[CAM.width]) if front else np.float32(0)
+        v[k] = min(max(b, np.float32(0)), cam[CAM.height]) if front else np.float32(0)
 
 
 @njit(**JIT)
@@ -92,7 +94,9 @@ def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, fir
                     ry = R[f, 1, 0] * rays[y, x, 0] + R[f, 1, 1] * rays[y, x, 1] + R[f, 1, 2] * rays[y, x, 2]
                     rz = R[f, 2, 0] * rays[y, x, 0] + R[f, 2, 1] * rays[y, x, 1] + R[f, 2, 2] * rays[y, x, 2]
                     if code == 0:
-                        _shells_panorama(depths, rx, ry, rz, t[f, 0], t[f, 1], t[f, 2], cam[0], cam[1], u, v)
+                        _shells_panorama(
+                            depths, rx, ry, rz, t[f, 0], t[f, 1], t[f, 2], cam[CAM.width], cam[CAM.height], u, v
+                        )
                     else:
                         _shells_pinhole(depths, rx, ry, rz, t[f, 0], t[f, 1], t[f, 2], cam, u, v)
                     _add_differences(frames[f], u, v, value, truncation, cost, hits)

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.errors import UnsupportedError
-from panobench.splat.kernel_options import INLINE, JIT, JIT_FINITE
+from panobench.kernels.columns import CAM
+from panobench.kernels.fast_math import atan2_fast
+from panobench.kernels.jit import INLINE, JIT, JIT_FINITE
 
 ERP, PINHOLE = 0, 1
 _PI = np.float32(np.pi)
-_HALF_PI = np.float32(np.pi / 2)
 _I0 = np.int32(0)
 _HALF, PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 
@@ -38,37 +39,17 @@ def halved(parameters: NDArray[np.float32], level: int) -> NDArray[np.float32]:
     return np.asarray(parameters / np.float32(2**level), dtype=np.float32)
 
 
-@njit(**INLINE)
-def atan2_fast(y, x):  # type: ignore[no-untyped-def]
-    """atan2 in float32, absolute error below 3e-7 (odd polynomial, minimax fit on [0, 1])."""
-    ax, ay = abs(x), abs(y)
-    top, bottom = min(ax, ay), max(ax, ay)
-    a = top / max(bottom, np.float32(1e-30))
-    s = a * a
-    r = np.float32(0.00681177) * s - np.float32(0.03360415)
-    r = r * s + np.float32(0.0796236)
-    r = r * s - np.float32(0.13233339)
-    r = r * s + np.float32(0.19807815)
-    r = r * s - np.float32(0.33317368)
-    r = (r * s + np.float32(0.99999611)) * a
-    if ay > ax:
-        r = _HALF_PI - r
-    if x < 0:
-        r = _PI - r
-    return -r if y < 0 else r
-
-
 @njit(**JIT)
 def to_pixel(x, y, z, code, cam):  # type: ignore[no-untyped-def]
     """Point in the camera frame -> (u, v, in front)."""
     if code == 0:
         rho = np.sqrt(x * x + z * z)
-        u = cam[0] * (np.float32(0.5) + atan2_fast(x, z) / (2 * _PI))
-        v = cam[1] * (np.float32(0.5) + atan2_fast(y, rho) / _PI)
+        u = cam[CAM.width] * (np.float32(0.5) + atan2_fast(x, z) / (2 * _PI))
+        v = cam[CAM.height] * (np.float32(0.5) + atan2_fast(y, rho) / _PI)
         return u, v, True
     if z < np.float32(1e-3):
         return np.float32(0), np.float32(0), False
-    return cam[2] * x / z + cam[4], cam[3] * y / z + cam[5], True
+    return cam[CAM.fx] * x / z + cam[CAM.cx], cam[CAM.fy] * y / z + cam[CAM.cy], True
 
 
 @njit(**JIT_FINITE)
@@ -94,15 +75,15 @@ def project_pinhole(X, Y, Z, R, t, cam, u, v):  # type: ignore[no-untyped-def]
         pz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z + t[2]
         front = pz >= np.float32(1e-3)
         inv = np.float32(1) / (pz if front else np.float32(1))
-        u[k] = cam[2] * px * inv + cam[4] if front else np.float32(-1e6)
-        v[k] = cam[3] * py * inv + cam[5] if front else np.float32(-1e6)
+        u[k] = cam[CAM.fx] * px * inv + cam[CAM.cx] if front else np.float32(-1e6)
+        v[k] = cam[CAM.fy] * py * inv + cam[CAM.cy] if front else np.float32(-1e6)
 
 
 @njit(**JIT)
 def project(X, Y, Z, R, t, code, cam, u, v):  # type: ignore[no-untyped-def]
     """Points moved by R, t -> pixels u, v of either camera."""
     if code == 0:
-        project_panorama(X, Y, Z, R, t, cam[0], cam[1], u, v)
+        project_panorama(X, Y, Z, R, t, cam[CAM.width], cam[CAM.height], u, v)
     else:
         project_pinhole(X, Y, Z, R, t, cam, u, v)
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from panobench.kernels.weighting import Weighting, latitude_weight
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import Reference
 from panobench.photometric.warp import ERP
-from panobench.splat.loss import GAUSSIAN_LATITUDE_DEG, Weighting
 
 
 def reweighted(reference: Reference, weighting: Weighting) -> Reference:
@@ -22,7 +22,5 @@ def reweighted(reference: Reference, weighting: Weighting) -> Reference:
 
 def _weights(points: F32, weighting: Weighting) -> F32:
     """(n,) for points (3, n) in the camera frame."""
-    if weighting == "uniform":
-        return np.ones(points.shape[1], np.float32)
-    lat = np.rad2deg(np.arctan2(-points[1], np.hypot(points[0], points[2])))
-    return np.exp(-0.5 * (lat / GAUSSIAN_LATITUDE_DEG) ** 2).astype(np.float32)
+    latitude = np.arctan2(-points[1], np.hypot(points[0], points[2]))
+    return latitude_weight(latitude, weighting).astype(np.float32)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from panobench.bench.paper import Published
 from panobench.bench.statistics import Ranked, rank, sequence_mean, summarise
 from panobench.report.model import Run
-from panobench.report.published import Published, published_block
+from panobench.report.published import published_block
 from panobench.report.ranking import failure
 from panobench.report.table_model import (
     FAILED,

@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterable
 from pathlib import Path
 
+from panobench.bench.paper import load_published
 from panobench.errors import UnknownNameError, UsageError
 from panobench.report import privacy
 from panobench.report.collect import collect
 from panobench.report.exports import FORMATS, SUFFIXES
 from panobench.report.model import Collection
-from panobench.report.published import load_published
 from panobench.report.tables import build_tables
 from panobench.writing import write_whole
 

@@ -15,10 +15,10 @@ from panobench.bench.record import DepthRecord, read_record
 from panobench.bench.rescore import Protocol
 from panobench.bench.runfolder import FRAMES, GROUNDTRUTH, LOG, RENDERS, RUN_JSON, TRAJECTORY, folders_with
 from panobench.bench.store import QUARANTINE
+from panobench.bench.study_record import STUDY_JSON, StoredStudy, read_study
 from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import InputError
 from panobench.report.model import Array, Collection, DepthPictures, Errors, ImagePair, Problem, Run
-from panobench.studies.stored import STUDY_JSON, StoredStudy, read_study
 from panobench.types import Trajectory
 
 LOG_LINES = 40

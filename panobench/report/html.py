@@ -17,13 +17,13 @@ import jinja2
 from markupsafe import Markup, escape
 
 from panobench import __version__
+from panobench.bench.paper import Published
 from panobench.errors import UnavailableError
 from panobench.report.headline import default_title, facts, measurements, tiles
 from panobench.report.images import BUDGET, SMALLEST
 from panobench.report.mapview import MOST, MOST_IN_ALL, map_size
 from panobench.report.model import Collection, Run
 from panobench.report.panoramas import Gallery, copy_map, make_gallery
-from panobench.report.published import Published
 from panobench.report.ranking import RANKING_RULE, failure
 from panobench.report.sections import cost_charts, place_section
 from panobench.report.studies import study_section

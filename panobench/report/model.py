@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.bench.record import RunRecord
+from panobench.bench.study_record import StoredStudy
 from panobench.geometry import Sim3
-from panobench.studies.stored import StoredStudy
 from panobench.types import Trajectory
 
 Array = NDArray[np.float64]

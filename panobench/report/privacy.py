@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from panobench.bench.record import RunRecord
+from panobench.bench.study_record import StoredStudy
 from panobench.report.model import Collection, Problem, Run
-from panobench.studies.stored import StoredStudy
 
 #: An absolute path of at least two parts, not inside a word, an address or a ratio.
 _PATH = re.compile(r"(?<![\w.:/~-])(?:~|(?=/))(?:/[^\s/:;,'\"()<>\[\]]+)+/([^\s/:;,'\"()<>\[\]]+)/?")

@@ -1,12 +1,11 @@
-"""Figures printed in papers, read from the package; reference rows that are never ranked against runs."""
+"""Rows of figures printed in papers, for reference: they are never ranked against runs."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+
+from panobench.bench.paper import Published
 
 #: Which published ATE table belongs to which dataset name, and what to say when the data are not the same.
 _TABLES = {
@@ -18,27 +17,6 @@ _TABLES = {
         "with other geometry, images and paths. They give the order of magnitude only.",
     ),
 }
-
-
-@dataclass(frozen=True)
-class Published:
-    """The content of a file of published figures."""
-
-    source: str
-    platform: str
-    tables: Mapping[str, Any]
-
-
-def load_published(path: Path | None = None) -> Published | None:
-    """The package's published figures (or those of ``path``); None when the file is not there."""
-    import yaml
-
-    if path is None:
-        path = Path(__file__).parent.parent / "bench" / "published" / "panogs_slam.yaml"
-    if not path.is_file():
-        return None
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    return Published(str(content.get("source", "")), str(content.get("platform", "")), content)
 
 
 def published_block(

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from panobench.bench.study_record import StoredStudy, StudyResult
 from panobench.report.figures import Figure, log_axis
 from panobench.report.sections import Chart
 from panobench.report.table_model import (
@@ -19,8 +20,6 @@ from panobench.report.table_model import (
     format_number,
     mark_ranks,
 )
-from panobench.studies.base import StudyResult
-from panobench.studies.stored import StoredStudy
 
 _HEADING = re.compile(r"^(?P<label>.*?)(?:\s*\[(?P<unit>[^\]]*)\])?\s*(?P<arrow>[↓↑]?)$")
 _BETTER = {"↓": "lower", "↑": "higher", "": "none"}

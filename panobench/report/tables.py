@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from panobench.bench.paper import Published
 from panobench.bench.statistics import summarise
 from panobench.report.accuracy import accuracy_table, flags, given
 from panobench.report.model import Collection, Run
-from panobench.report.published import Published
 from panobench.report.ranking import failure
 from panobench.report.studies import study_tables
 from panobench.report.table_model import (

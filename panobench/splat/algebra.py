@@ -1,7 +1,7 @@
-"""Small vectors and matrices as tuples of floats: arrays would be heap allocations, millions a second.
+"""Small vectors and matrices as tuples of floats: arrays would be heap allocations, millions of them a second.
 
-Everything here is free of branches and of calls LLVM cannot vectorise, so that kernels may loop over a block of
-Gaussians (see kernel_options.BLOCK) several at a time.
+Everything here is free of branches and of calls that LLVM cannot vectorise, so that kernels may loop over a block of
+Gaussians (``kernels.block``) several at a time.
 """
 
 from __future__ import annotations
@@ -9,40 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from panobench.splat.kernel_options import INLINE
-
-_LOG2E, _LN2 = np.float32(1.4426950408889634), np.float32(0.6931471805599453)
-_HALF, _ONE = np.float32(0.5), np.float32(1.0)
-_E3, _E4, _E5 = np.float32(1.6666665459e-1), np.float32(4.1665795894e-2), np.float32(8.3334519073e-3)
-_L0, _L1, _L2 = np.float32(7.0376836292e-2), np.float32(-1.1514610310e-1), np.float32(1.1676998740e-1)
-_L3, _L4, _L5 = np.float32(-1.2420140846e-1), np.float32(1.4249322787e-1), np.float32(-1.6668057665e-1)
-_L6, _L7, _L8 = np.float32(2.0000714765e-1), np.float32(-2.4999993993e-1), np.float32(3.3333331174e-1)
-_SQRT2 = np.float32(1.4142135623730951)
-_E6, _E7 = np.float32(1.3981999507e-3), np.float32(1.9875691500e-4)
-
-
-@njit(**INLINE)
-def exp_fast(x):  # type: ignore[no-untyped-def]
-    """exp of a float32, clamped to [-80, 80]; relative error below 1e-6 (coefficients: Cephes, expf.c)."""
-    x = min(max(x, np.float32(-80.0)), np.float32(80.0))
-    n = np.floor(x * _LOG2E + _HALF)
-    f = x - n * _LN2
-    p = ((((_E7 * f + _E6) * f + _E5) * f + _E4) * f + _E3) * f + _HALF
-    power = np.int32((np.int32(n) + np.int32(127)) << np.int32(23))
-    return (p * f * f + f + _ONE) * power.view(np.float32)
-
-
-@njit(**INLINE)
-def log_fast(x):  # type: ignore[no-untyped-def]
-    """log of a positive, normal float32; absolute error below 1e-6 (coefficients: Cephes, logf.c)."""
-    bits = np.float32(x).view(np.int32)
-    e = (bits >> np.int32(23)) - np.int32(127)
-    m = np.int32((bits & np.int32(0x7FFFFF)) | np.int32(0x3F800000)).view(np.float32)
-    big = m > _SQRT2
-    e, m = np.float32(e + np.int32(1) if big else e), (_HALF * m if big else m) - _ONE
-    p = ((_L0 * m + _L1) * m + _L2) * m + _L3
-    p = ((((p * m + _L4) * m + _L5) * m + _L6) * m + _L7) * m + _L8
-    return p * m * m * m - _HALF * m * m + m + e * _LN2
+from panobench.kernels.fast_math import exp_fast
+from panobench.kernels.jit import INLINE
 
 
 @njit(**INLINE)
@@ -52,19 +20,19 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def rows_of(R):  # type: ignore[no-untyped-def]
-    """The rows of a (3, 3) array as tuples: read once, not in a loop that writes arrays."""
+    """The rows of a (3, 3) array as tuples, to be read once and not in a loop that writes arrays."""
     return (R[0, 0], R[0, 1], R[0, 2]), (R[1, 0], R[1, 1], R[1, 2]), (R[2, 0], R[2, 1], R[2, 2])
 
 
 @njit(**INLINE)
 def rotate(R, v):  # type: ignore[no-untyped-def]
-    """R v for the rows of R."""
+    """R v, for R given by its rows."""
     return dot(R[0], v), dot(R[1], v), dot(R[2], v)
 
 
 @njit(**INLINE)
 def unrotate(R, v):  # type: ignore[no-untyped-def]
-    """R^T v for the rows of R."""
+    """R^T v, for R given by its rows."""
     return (
         R[0][0] * v[0] + R[1][0] * v[1] + R[2][0] * v[2],
         R[0][1] * v[0] + R[1][1] * v[1] + R[2][1] * v[2],
@@ -74,7 +42,7 @@ def unrotate(R, v):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def rotation(q):  # type: ignore[no-untyped-def]
-    """Quaternion (w, x, y, z), any length -> the rows of R, and 1/|q|."""
+    """Quaternion (w, x, y, z) of any length -> the rows of its rotation matrix, and 1/|q|."""
     a, b, c, d = float(q[0]), float(q[1]), float(q[2]), float(q[3])
     s = 1.0 / np.sqrt(max(a * a + b * b + c * c + d * d, 1e-24))
     w, x, y, z = a * s, b * s, c * s, d * s
@@ -87,7 +55,7 @@ def rotation(q):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def axes_in_camera(q, log_scales, R_cw):  # type: ignore[no-untyped-def]
-    """A Gaussian's three unit axes in the camera frame and their standard deviations, as tuples; R_cw as rows."""
+    """A Gaussian's three unit axes in the camera frame, and its standard deviations along them; R_cw by its rows."""
     R, _ = rotation(q)
     s = (
         float(exp_fast(min(max(log_scales[0], np.float32(-20.0)), np.float32(8.0)))),
@@ -104,7 +72,7 @@ def axes_in_camera(q, log_scales, R_cw):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def camera_covariance(axes):  # type: ignore[no-untyped-def]
-    """Upper triangle (xx, xy, xz, yy, yz, zz) of the covariance with those axes."""
+    """Covariance in the camera frame, upper triangle (xx, xy, xz, yy, yz, zz), from ``axes_in_camera``."""
     a, b, c, s = axes
     u, v, w = s[0] * s[0], s[1] * s[1], s[2] * s[2]
     return (
@@ -119,7 +87,7 @@ def camera_covariance(axes):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def symmetric_times(C, v):  # type: ignore[no-untyped-def]
-    """C v for C = (xx, xy, xz, yy, yz, zz)."""
+    """C v for a symmetric C = (xx, xy, xz, yy, yz, zz)."""
     return (
         C[0] * v[0] + C[1] * v[1] + C[2] * v[2],
         C[1] * v[0] + C[3] * v[1] + C[4] * v[2],
@@ -129,7 +97,7 @@ def symmetric_times(C, v):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def tangent_basis(m):  # type: ignore[no-untyped-def]
-    """East and south at unit direction m (any orthonormal pair at the poles themselves)."""
+    """Unit vectors to the east and south at unit direction m; at the poles themselves, some orthonormal pair."""
     rho = np.sqrt(m[0] * m[0] + m[2] * m[2])
     pole = rho < 1e-9
     inv = 1.0 / max(rho, 1e-9)
@@ -139,6 +107,6 @@ def tangent_basis(m):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def whiten(S00, S01, S11):  # type: ignore[no-untyped-def]
-    """Upper-triangular W with W^T W = S^-1, so that t = W d has unit covariance."""
+    """(w00, w01, w11) of the upper-triangular W with W^T W = S^-1, so that t = W d has unit covariance."""
     w00 = 1.0 / np.sqrt(max(S00 - S01 * S01 / S11, 1e-30))
     return w00, -w00 * S01 / S11, 1.0 / np.sqrt(S11)

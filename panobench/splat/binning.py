@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from panobench.splat.kernel_options import INLINE, JIT, PARALLEL, TILE_H, TILE_W
+from panobench.kernels.columns import CAM
+from panobench.kernels.columns import FOOTPRINT as F
+from panobench.kernels.jit import INLINE, JIT, PARALLEL
 from panobench.splat.slabs import slab_rows
-from panobench.splat.view import BOUND_CONES
+from panobench.splat.view import BOUND_CONES, TILE_H, TILE_W
 
 
 @njit(**JIT)
@@ -59,9 +61,10 @@ def _cone_meets(p, cone):  # type: ignore[no-untyped-def]
     if c > 1.5:
         return False
     s = np.sqrt(max(1.0 - c * c, 0.0))
-    if p[17] * c + p[16] * s < 0:  # sin(reach + radius) < 0: together they span more than a half turn
+    cos_p, sin_p = p[F.cos_radius], p[F.sin_radius]
+    if sin_p * c + cos_p * s < 0:  # the two radii together exceed pi
         return True
-    return p[6] * cone[0] + p[7] * cone[1] + p[8] * cone[2] >= p[16] * c - p[17] * s - 1e-6
+    return p[F.m[0]] * cone[0] + p[F.m[1]] * cone[1] + p[F.m[2]] * cone[2] >= cos_p * c - sin_p * s - 1e-6
 
 
 @njit(**INLINE)
@@ -121,7 +124,7 @@ def bin_tiles(  # type: ignore[no-untyped-def]
     Each thread takes a run of instances; its entries stand behind those of nearer runs, so the lists do not depend
     on the number of threads.
     """
-    W, H, n, tiles = int(intr[0]), int(intr[1]), len(rows), len(drawn)
+    W, H, n, tiles = int(intr[CAM.width]), int(intr[CAM.height]), len(rows), len(drawn)
     tiles_x, share = (W + TILE_W - 1) // TILE_W, (n + threads - 1) // threads
     nothing = np.empty(0, np.int32)
     begins = np.zeros(threads + 1, np.int64)

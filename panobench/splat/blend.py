@@ -16,19 +16,15 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit, prange
 
-from panobench.splat.kernel_options import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    COS_MIN,
-    INLINE_FINITE,
-    JIT,
-    JIT_FINITE,
-    MOMENTS,
-    PARALLEL,
-    TILE_H,
-    TILE_W,
-)
+from panobench.kernels.columns import FOOTPRINT as F
+from panobench.kernels.columns import MOMENT as M
+from panobench.kernels.columns import MOMENTS
+from panobench.kernels.jit import INLINE_FINITE, JIT, JIT_FINITE, PARALLEL
+from panobench.splat.footprint import ALPHA_MIN, COS_MIN
+from panobench.splat.view import TILE_H, TILE_W
 
+#: Alphas are clipped to this, so that no pixel's transmittance becomes zero.
+ALPHA_MAX = 0.99
 _A_MIN = np.float32(ALPHA_MIN)
 _A_MAX = np.float32(ALPHA_MAX)
 _COS = np.float32(COS_MIN)
@@ -74,10 +70,10 @@ def _wrap_shift(u, x0, wrap):  # type: ignore[no-untyped-def]
 def _offset(p, p1z, p2z, buf, i):  # type: ignore[no-untyped-def]
     """Whitened offset t of pixel i from instance p, and |t|^2: at least _S_MAX beyond the largest angle."""
     x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
-    n0 = p[6] * x + p[7] * y + p[8] * z
+    n0 = p[F.m[0]] * x + p[F.m[1]] * y + p[F.m[2]] * z
     inv = _F1 / max(n0, _COS)
-    t1 = (p[0] * x + p[1] * y + p1z * z) * inv
-    t2 = (p[3] * x + p[4] * y + p2z * z) * inv
+    t1 = (p[F.p1[0]] * x + p[F.p1[1]] * y + p1z * z) * inv
+    t2 = (p[F.p2[0]] * x + p[F.p2[1]] * y + p2z * z) * inv
     return t1, t2, t1 * t1 + t2 * t2 if n0 > _COS else _S_MAX
 
 
@@ -98,9 +94,9 @@ def _forward_span_of(weigh: bool) -> Callable[..., None]:
 
     @njit(**JIT_FINITE)
     def span(p, p1z, p2z, buf, lo, n, sums, th, k):  # type: ignore[no-untyped-def]
-        o = p[9]
-        cr, cg, cb, cd = p[10], p[11], p[12], p[13]
-        d1, d2 = p[18], p[19]
+        o = p[F.opacity]
+        cr, cg, cb, cd = p[F.colour[0]], p[F.colour[1]], p[F.colour[2]], p[F.distance]
+        d1, d2 = p[F.slope[0]], p[F.slope[1]]
         total = _F0
         for j in range(n):
             i = lo + j
@@ -127,7 +123,7 @@ _forward_span, _forward_span_weighed = _forward_span_of(False), _forward_span_of
 @njit(**JIT_FINITE)
 def _count_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
     """Pixels this instance touches while more than half of the light still passes."""
-    q_cut = p[14]
+    q_cut = p[F.cut]
     count = _F0
     for j in range(n):
         i = lo + j
@@ -169,8 +165,8 @@ def blend_forward(  # type: ignore[no-untyped-def]
                 k = entries[e]
                 used += 1
                 p = packed[k]
-                shift = _wrap_shift(p[15], x0, wrap)
-                p1z, p2z = p[2] - p[0] * shift, p[5] - p[3] * shift
+                shift = _wrap_shift(p[F.u], x0, wrap)
+                p1z, p2z = p[F.p1[2]] - p[F.p1[0]] * shift, p[F.p2[2]] - p[F.p2[0]] * shift
                 lo, n = np.uint64(spans[e, 0] * TILE_W), np.uint64(spans[e, 1] * TILE_W)
                 if count:
                     touched[th, k] += np.int32(_count_span(p, p1z, p2z, buf, lo, n))
@@ -199,7 +195,7 @@ def blend_forward(  # type: ignore[no-untyped-def]
 @njit(inline="always", **JIT_FINITE)
 def _alpha_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
     """Alpha (0 where it is cut, not clipped from above) and t of instance p at n pixels from lo."""
-    o = p[9]
+    o = p[F.opacity]
     for j in range(n):
         i = lo + j
         t1, t2, square = _offset(p, p1z, p2z, buf, i)
@@ -215,7 +211,7 @@ def _backward_span_of(deep: bool) -> Callable[..., None]:
     @njit(**JIT_FINITE)
     def span(p, p1z, p2z, buf, lo, n, out, th, k):  # type: ignore[no-untyped-def]
         _alpha_span(p, p1z, p2z, buf, lo, n)
-        cr, cg, cb, cd = p[10], p[11], p[12], p[13]
+        cr, cg, cb, cd = p[F.colour[0]], p[F.colour[1]], p[F.colour[2]], p[F.distance]
         s0, s1, s2, s11, s12, s22 = _F0, _F0, _F0, _F0, _F0, _F0
         s31, s32, gr, gg, gb, gd = _F0, _F0, _F0, _F0, _F0, _F0
         for j in range(n):
@@ -248,18 +244,18 @@ def _backward_span_of(deep: bool) -> Callable[..., None]:
             gr += w * dr
             gg += w * dg
             gb += w * db
-        out[th, k, 0] += s0
-        out[th, k, 1] += s1
-        out[th, k, 2] += s2
-        out[th, k, 3] += s11
-        out[th, k, 4] += s12
-        out[th, k, 5] += s22
-        out[th, k, 6] += s31
-        out[th, k, 7] += s32
-        out[th, k, 8] += gr
-        out[th, k, 9] += gg
-        out[th, k, 10] += gb
-        out[th, k, 11] += gd
+        out[th, k, M.g] += s0
+        out[th, k, M.gt[0]] += s1
+        out[th, k, M.gt[1]] += s2
+        out[th, k, M.gtt[0]] += s11
+        out[th, k, M.gtt[1]] += s12
+        out[th, k, M.gtt[2]] += s22
+        out[th, k, M.gttt[0]] += s31
+        out[th, k, M.gttt[1]] += s32
+        out[th, k, M.colour[0]] += gr
+        out[th, k, M.colour[1]] += gg
+        out[th, k, M.colour[2]] += gb
+        out[th, k, M.distance] += gd
 
     return span
 
@@ -311,8 +307,8 @@ def blend_backward(  # type: ignore[no-untyped-def]
             for e in range(starts[tile], starts[tile] + done[tile]):
                 k = entries[e]
                 p = packed[k]
-                shift = _wrap_shift(p[15], x0, wrap)
-                p1z, p2z = p[2] - p[0] * shift, p[5] - p[3] * shift
+                shift = _wrap_shift(p[F.u], x0, wrap)
+                p1z, p2z = p[F.p1[2]] - p[F.p1[0]] * shift, p[F.p2[2]] - p[F.p2[0]] * shift
                 lo, n = np.uint64(spans[e, 0] * TILE_W), np.uint64(spans[e, 1] * TILE_W)
                 if with_depth or with_opacity:
                     _backward_span_deep(p, p1z, p2z, buf, lo, n, moments, th, order[k])

@@ -1,6 +1,7 @@
-"""Footprints on the sphere, a block of Gaussians at a time, and the rectangles of pixels that hold them.
+"""Footprints on the sphere, a block of Gaussians at a time, and the rectangles of pixels that bound them.
 
-The exact tangent-plane footprint of project.py; what bounds it depends on the camera.
+The footprint is the exact one on the tangent plane, see ``project``. How it is bounded depends on the camera: by
+latitude and longitude in a panorama, by rows and columns in an undistorted pinhole image, by cones elsewhere.
 """
 
 from __future__ import annotations
@@ -8,32 +9,36 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from panobench.photometric.warp import atan2_fast
+from panobench.kernels.block import P, channels, load3, load4, offsets, store3
+from panobench.kernels.columns import CAM, FOOTPRINT, FOOTPRINT_COLUMNS, PARAMETERS
+from panobench.kernels.columns import FOOTPRINT as F
+from panobench.kernels.fast_math import atan2_fast, exp_fast, log_fast
+from panobench.kernels.jit import INLINE, JIT
 from panobench.splat.algebra import (
     axes_in_camera,
     camera_covariance,
     dot,
-    exp_fast,
-    log_fast,
     rotate,
     symmetric_times,
     tangent_basis,
     whiten,
 )
-from panobench.splat.block import PARAMETERS, P, channels
-from panobench.splat.kernel_options import ALPHA_MIN, COS_MIN, INLINE, JIT
 from panobench.splat.view import BOUND_FLAT, BOUND_LATLON
 
+#: An alpha below this counts as zero: one step of an 8-bit image.
+ALPHA_MIN = 1.0 / 255.0
+#: Cosine of the largest angle between a Gaussian's direction and a pixel that it may colour (about 84 degrees).
+COS_MIN = 0.1
 #: Largest tangent offset of a footprint: further out m.r < COS_MIN and nothing is drawn.
 OFFSET_MAX = float(np.sqrt(1.0 / COS_MIN**2 - 1.0))
 
-# Offsets in a block's buffer behind the parameters; the names are those of the packed columns (see project).
-_P1, _P2, _MU = channels(PARAMETERS, 3), channels(PARAMETERS + 3, 3), channels(PARAMETERS + 6, 3)
-_SPREAD, _SLOPE, _REACH = channels(PARAMETERS + 9, 3), channels(PARAMETERS + 12, 2), channels(PARAMETERS + 14, 2)
-_BOX = channels(PARAMETERS + 16, 4)  # south, north, half width, longitude
-_O, _DIST, _CUT, _SEEN = channels(PARAMETERS + 20, 4)
+# Offsets in a block's buffer after the parameters: the footprint itself, then its covariance (00, 01, 11) in the
+# tangent plane, its bounds (south, north, half width, longitude; radians), and whether it is drawn.
+_FP = offsets(FOOTPRINT, PARAMETERS)
+_COVARIANCE = channels(PARAMETERS + FOOTPRINT_COLUMNS, 3)
+_SOUTH, _NORTH, _HALF_WIDTH, _LON, _SEEN = channels(PARAMETERS + FOOTPRINT_COLUMNS + 3, 5)
 #: Channels up to here.
-FOOTPRINT_CHANNELS = PARAMETERS + 24
+FOOTPRINT_CHANNELS = PARAMETERS + FOOTPRINT_COLUMNS + 8
 
 _F0, _F1, _F2 = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _PI, _POLE = np.float32(np.pi), np.float32(0.5 * np.pi - 1e-3)
@@ -42,11 +47,11 @@ _TINY, _HUGE, _INV_ALPHA_MIN = np.float32(1e-6), np.float32(1e20), np.float32(1.
 
 @njit(**INLINE)
 def latlon_extent(m, reach_e, reach_s, reach):  # type: ignore[no-untyped-def]
-    """Southern and northern latitude and half width in longitude of a footprint (pi: the whole row), float32.
+    """Southern and northern latitude and half width in longitude of a footprint, in radians (pi: the whole row).
 
-    reach_e, reach_s: largest tangent offsets to the east and south; reach: angular radius. The corners of the
-    tangent rectangle m + e de + s ds bound every footprint that stays clear of the poles. Angles are good to
-    3e-7 rad; footprint bounds carry far more slack than that.
+    m: direction of the mean; reach_e, reach_s: largest tangent offsets to the east and south; reach: angular radius;
+    all float32. The corners of the tangent rectangle m + e de + s ds bound every footprint that stays clear of the
+    poles. The angles are good to 3e-7 rad, far better than the slack of the bounds.
     """
     sin_lat, cos_lat = -m[1], np.sqrt(m[0] * m[0] + m[2] * m[2])
     lat = atan2_fast(sin_lat, cos_lat)
@@ -66,10 +71,11 @@ def latlon_extent(m, reach_e, reach_s, reach):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def flat_extent(m, e, s, Q00, Q01, Q11, A22, axis, focal, centre, size):  # type: ignore[no-untyped-def]
-    """First and last pixel column (axis 0) or row (1) of a footprint wholly in front of a pinhole camera.
+    """First and last pixel column (axis 0) or row (axis 1) of a footprint wholly in front of a pinhole camera.
 
-    The planes x = t z through the eye that touch the ellipse m + E^T d, d^T Q^-1 d = 1, are the roots of
-    n^T (m m^T - E^T Q E) n = 0 with n = (1, 0, -t).
+    The planes x = t z through the camera's centre that touch the ellipse m + E^T d, d^T Q^-1 d = 1, are the roots of
+    n^T (m m^T - E^T Q E) n = 0 with n = (1, 0, -t). e, s: the rows of E. A22: entry zz of m m^T - E^T Q E. focal,
+    centre, size: the camera's along the axis, in pixels.
     """
     A00 = m[axis] * m[axis] - (Q00 * e[axis] * e[axis] + 2.0 * Q01 * e[axis] * s[axis] + Q11 * s[axis] * s[axis])
     A02 = m[axis] * m[2] - (Q00 * e[axis] * e[2] + Q01 * (e[axis] * s[2] + s[axis] * e[2]) + Q11 * s[axis] * s[2])
@@ -82,7 +88,10 @@ def flat_extent(m, e, s, Q00, Q01, Q11, A22, axis, focal, centre, size):  # type
 
 @njit(**JIT)
 def side_extent(m, reach, sin_reach, axis, focal, centre, size):  # type: ignore[no-untyped-def]
-    """As ``flat_extent`` for a cone that reaches behind the camera: planes through the eye at angle phi +- half."""
+    """As ``flat_extent`` for a cone of angular radius ``reach`` that extends behind the camera.
+
+    The planes through the camera's centre that touch it stand at angles phi +- half.
+    """
     h = np.sqrt(m[axis] * m[axis] + m[2] * m[2])
     if h <= sin_reach:
         return 0, int(size) - 1
@@ -101,48 +110,53 @@ def side_extent(m, reach, sin_reach, axis, focal, centre, size):  # type: ignore
 
 @njit(inline="always", **JIT)
 def sphere_block(buf, n, R, t, near, low, sloped, latlon):  # type: ignore[no-untyped-def]
-    """Tangent-plane footprints of the n Gaussians whose parameters are in the buffer."""
+    """Tangent-plane footprints of the n Gaussians whose parameters are in the buffer.
+
+    R, t: world to camera; near: least distance; low: variance added to every footprint, rad^2; sloped: with slopes of
+    the distance; latlon: with bounds in latitude and longitude.
+    """
     for j in range(np.uint64(n)):
-        turned = rotate(R, (float(buf[j + P[0]]), float(buf[j + P[1]]), float(buf[j + P[2]])))
-        mu = (turned[0] + t[0], turned[1] + t[1], turned[2] + t[2])
+        x, y, z = load3(buf, j, P.mean)
+        x, y, z = rotate(R, (float(x), float(y), float(z)))
+        mu = (x + t[0], y + t[1], z + t[2])
         dist = np.sqrt(dot(mu, mu))
         seen = (dist >= near) & (dist < 1e9)
         inv = 1.0 / dist if seen else 1.0
-        o = _F1 / (_F1 + exp_fast(-buf[j + P[10]]))
+        o = _F1 / (_F1 + exp_fast(-buf[j + P.logit]))
         q_cut = _F2 * log_fast(o * _INV_ALPHA_MIN)
-        q = (buf[j + P[6]], buf[j + P[7]], buf[j + P[8]], buf[j + P[9]])
-        C = camera_covariance(axes_in_camera(q, (buf[j + P[3]], buf[j + P[4]], buf[j + P[5]]), R))
+        C = camera_covariance(axes_in_camera(load4(buf, j, P.quat), load3(buf, j, P.log_scale), R))
         m = (mu[0] * inv, mu[1] * inv, mu[2] * inv)
         e, s = tangent_basis(m)
         Ce, Cs = symmetric_times(C, e), symmetric_times(C, s)
         inv2 = inv * inv
         S00, S01, S11 = dot(e, Ce) * inv2 + low, dot(s, Ce) * inv2, dot(s, Cs) * inv2 + low
         w00, w01, w11 = whiten(S00, S01, S11)
-        buf[j + _P1[0]], buf[j + _P1[1]], buf[j + _P1[2]] = w00 * e[0] + w01 * s[0], w01 * s[1], w00 * e[2] + w01 * s[2]
-        buf[j + _P2[0]], buf[j + _P2[1]], buf[j + _P2[2]] = w11 * s[0], w11 * s[1], w11 * s[2]
-        buf[j + _MU[0]], buf[j + _MU[1]], buf[j + _MU[2]] = m
+        store3(buf, j, _FP.p1, (w00 * e[0] + w01 * s[0], w01 * s[1], w00 * e[2] + w01 * s[2]))
+        store3(buf, j, _FP.p2, (w11 * s[0], w11 * s[1], w11 * s[2]))
+        store3(buf, j, _FP.m, m)
         ce, cs = dot(m, Ce) * inv, dot(m, Cs) * inv
-        buf[j + _SLOPE[0]], buf[j + _SLOPE[1]] = w00 * ce + w01 * cs if sloped else 0.0, w11 * cs if sloped else 0.0
+        buf[j + _FP.slope[0]] = w00 * ce + w01 * cs if sloped else 0.0
+        buf[j + _FP.slope[1]] = w11 * cs if sloped else 0.0
         spread = 0.5 * (S00 + S11) + np.sqrt(max(0.25 * (S00 - S11) * (S00 - S11) + S01 * S01, 0.0))
         offset = min(np.sqrt(q_cut * spread), OFFSET_MAX)
         cos_reach = 1.0 / np.sqrt(1.0 + offset * offset)
-        buf[j + _REACH[0]], buf[j + _REACH[1]] = cos_reach, offset * cos_reach
-        buf[j + _O], buf[j + _DIST], buf[j + _CUT] = o, dist, q_cut
-        buf[j + _SPREAD[0]], buf[j + _SPREAD[1]], buf[j + _SPREAD[2]] = S00, S01, S11
-        # A NaN anywhere fails the comparison.
+        buf[j + _FP.cos_radius], buf[j + _FP.sin_radius] = cos_reach, offset * cos_reach
+        buf[j + _FP.opacity], buf[j + _FP.distance], buf[j + _FP.cut] = o, dist, q_cut
+        store3(buf, j, _COVARIANCE, (S00, S01, S11))
+        # A NaN anywhere fails one of the comparisons.
         buf[j + _SEEN] = _F1 if seen & (o > np.float32(ALPHA_MIN)) & (spread < _HUGE) else _F0
         if latlon:
             m32 = (np.float32(m[0]), np.float32(m[1]), np.float32(m[2]))
             reach_e, reach_s = np.float32(np.sqrt(q_cut * S00)), np.float32(np.sqrt(q_cut * S11))
             south, north, half = latlon_extent(m32, reach_e, reach_s, atan2_fast(np.float32(offset), _F1))
-            buf[j + _BOX[0]], buf[j + _BOX[1]], buf[j + _BOX[2]] = south, north, half
-            buf[j + _BOX[3]] = atan2_fast(m32[0], m32[2])
+            buf[j + _SOUTH], buf[j + _NORTH], buf[j + _HALF_WIDTH] = south, north, half
+            buf[j + _LON] = atan2_fast(m32[0], m32[2])
 
 
 @njit(**JIT)
 def _box_latlon(buf, j, W, H):  # type: ignore[no-untyped-def]
-    """First and last row and column of the footprint in slot j; columns may run past an edge."""
-    south, north, half, lon = buf[j + _BOX[0]], buf[j + _BOX[1]], buf[j + _BOX[2]], buf[j + _BOX[3]]
+    """First and last row and column of slot j's footprint in a panorama; columns may run past either edge."""
+    south, north, half, lon = buf[j + _SOUTH], buf[j + _NORTH], buf[j + _HALF_WIDTH], buf[j + _LON]
     r0 = max(int(np.ceil(H * (0.5 - north / np.pi) - 0.5 - 1e-3)), 0)
     r1 = min(int(np.floor(H * (0.5 - south / np.pi) - 0.5 + 1e-3)), int(H) - 1)
     if half >= _PI:
@@ -153,30 +167,35 @@ def _box_latlon(buf, j, W, H):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def _box_flat(buf, j, intr):  # type: ignore[no-untyped-def]
-    """The same for a pinhole camera; an empty box behind it."""
-    W, H = intr[0], intr[1]
-    m = (float(buf[j + _MU[0]]), float(buf[j + _MU[1]]), float(buf[j + _MU[2]]))
+    """First and last row and column of slot j's footprint in a pinhole image; last before first behind the camera."""
+    W, H = intr[CAM.width], intr[CAM.height]
+    x, y, z = load3(buf, j, _FP.m)
+    m = (float(x), float(y), float(z))
     e, s = tangent_basis(m)
-    q_cut = float(buf[j + _CUT])
-    Q00, Q01, Q11 = q_cut * buf[j + _SPREAD[0]], q_cut * buf[j + _SPREAD[1]], q_cut * buf[j + _SPREAD[2]]
+    q_cut = float(buf[j + _FP.cut])
+    S00, S01, S11 = load3(buf, j, _COVARIANCE)
+    Q00, Q01, Q11 = q_cut * S00, q_cut * S01, q_cut * S11
     A22 = m[2] * m[2] - (Q00 * e[2] * e[2] + 2.0 * Q01 * e[2] * s[2] + Q11 * s[2] * s[2])
     if A22 > 1e-6:
         if m[2] < 0.0:
             return 1, 0, 1, 0
-        c0, c1 = flat_extent(m, e, s, Q00, Q01, Q11, A22, 0, intr[2], intr[4], W)
-        r0, r1 = flat_extent(m, e, s, Q00, Q01, Q11, A22, 1, intr[3], intr[5], H)
+        c0, c1 = flat_extent(m, e, s, Q00, Q01, Q11, A22, 0, intr[CAM.fx], intr[CAM.cx], W)
+        r0, r1 = flat_extent(m, e, s, Q00, Q01, Q11, A22, 1, intr[CAM.fy], intr[CAM.cy], H)
     else:
-        sin_reach = float(buf[j + _REACH[1]])
-        reach = np.arctan2(sin_reach, float(buf[j + _REACH[0]]))
-        c0, c1 = side_extent(m, reach, sin_reach, 0, intr[2], intr[4], W)
-        r0, r1 = side_extent(m, reach, sin_reach, 1, intr[3], intr[5], H)
+        sin_reach = float(buf[j + _FP.sin_radius])
+        reach = np.arctan2(sin_reach, float(buf[j + _FP.cos_radius]))
+        c0, c1 = side_extent(m, reach, sin_reach, 0, intr[CAM.fx], intr[CAM.cx], W)
+        r0, r1 = side_extent(m, reach, sin_reach, 1, intr[CAM.fy], intr[CAM.cy], H)
     return r0, r1, c0, c1
 
 
 @njit(**JIT)
 def store_block(buf, n, k0, bound, intr, colours, packed, rows, cols, key):  # type: ignore[no-untyped-def]
-    """A block's footprints into the packed rows from k0 on."""
-    W, H = intr[0], intr[1]
+    """Write a block's n footprints to rows k0 .. k0 + n - 1 of ``packed``, ``rows``, ``cols`` and ``key``.
+
+    See ``project`` for these arrays. A Gaussian that is not seen keeps a key of -1.
+    """
+    W, H = intr[CAM.width], intr[CAM.height]
     for j in range(n):
         k = k0 + j
         key[k] = np.float32(-1.0)
@@ -192,9 +211,9 @@ def store_block(buf, n, k0, bound, intr, colours, packed, rows, cols, key):  # t
         if box[1] < box[0] or box[3] < box[2]:
             continue
         for i in range(3):
-            packed[k, i], packed[k, 3 + i], packed[k, 6 + i] = buf[j + _P1[i]], buf[j + _P2[i]], buf[j + _MU[i]]
-            packed[k, 10 + i] = colours[k, i]
-        packed[k, 9], packed[k, 13], packed[k, 14] = buf[j + _O], buf[j + _DIST], buf[j + _CUT]
-        packed[k, 15], packed[k, 16], packed[k, 17] = _F0, buf[j + _REACH[0]], buf[j + _REACH[1]]
-        packed[k, 18], packed[k, 19] = buf[j + _SLOPE[0]], buf[j + _SLOPE[1]]
-        key[k] = buf[j + _DIST]
+            packed[k, F.p1[i]], packed[k, F.p2[i]] = buf[j + _FP.p1[i]], buf[j + _FP.p2[i]]
+            packed[k, F.m[i]], packed[k, F.colour[i]] = buf[j + _FP.m[i]], colours[k, i]
+        packed[k, F.opacity], packed[k, F.cut], packed[k, F.u] = buf[j + _FP.opacity], buf[j + _FP.cut], _F0
+        packed[k, F.cos_radius], packed[k, F.sin_radius] = buf[j + _FP.cos_radius], buf[j + _FP.sin_radius]
+        packed[k, F.slope[0]], packed[k, F.slope[1]] = buf[j + _FP.slope[0]], buf[j + _FP.slope[1]]
+        packed[k, F.distance] = key[k] = buf[j + _FP.distance]

@@ -6,29 +6,23 @@ sphere-consistent weights); "uniform" and "gaussian" latitude weights serve the 
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import lonlat_from_directions
+from panobench.kernels.jit import PARALLEL
+from panobench.kernels.weighting import Weighting, latitude_weight
 from panobench.splat.gaussians import F32
-from panobench.splat.kernel_options import PARALLEL
-
-Weighting = Literal["cosine", "uniform", "gaussian"]
-#: Standard deviation of the ablation's Gaussian latitude weight.
-GAUSSIAN_LATITUDE_DEG = 30.0
 
 
 def pixel_weights(camera: Camera, weighting: Weighting = "cosine") -> F32:
     """(H, W) loss weights that sum to 1, 0 where the camera has no valid pixel. Pinholes are weighted uniformly."""
     weights = camera.valid_mask().astype(np.float64)
     if camera.kind == "erp" and weighting != "uniform":
-        _, lat = lonlat_from_directions(camera.rays())
-        narrow = np.exp(-0.5 * (np.rad2deg(lat) / GAUSSIAN_LATITUDE_DEG) ** 2)
-        weights *= np.cos(lat) if weighting == "cosine" else narrow
+        _, latitude = lonlat_from_directions(camera.rays())
+        weights *= latitude_weight(latitude, weighting)
     return np.asarray(weights / max(weights.sum(), 1e-12), dtype=np.float32)
 
 

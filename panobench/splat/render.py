@@ -17,14 +17,11 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
+from panobench.kernels.columns import FOOTPRINT_COLUMNS, MOMENT, PARAMETER, PARAMETERS, span
 from panobench.splat import binning, blend, chain, project
-from panobench.splat.block import PARAMETERS
 from panobench.splat.gaussians import F32, GaussianMap
-from panobench.splat.kernel_options import PACK
 from panobench.splat.view import CONIC_ERP, Projection, View, make_view
 
-#: Columns of the moments that belong to the colours.
-_COLOURS = slice(8, 11)
 _NO_2D = np.zeros((0, 0), np.float32)
 
 
@@ -40,23 +37,23 @@ class Gradients:
 
     @property
     def means(self) -> F32:
-        return self.packed[:, 0:3]
+        return self.packed[:, span(PARAMETER.mean)]
 
     @property
     def log_scales(self) -> F32:
-        return self.packed[:, 3:6]
+        return self.packed[:, span(PARAMETER.log_scale)]
 
     @property
     def quats(self) -> F32:
-        return self.packed[:, 6:10]
+        return self.packed[:, span(PARAMETER.quat)]
 
     @property
     def opacity_logits(self) -> F32:
-        return self.packed[:, 10]
+        return self.packed[:, PARAMETER.logit]
 
     @property
     def colours(self) -> F32:
-        return self.packed[:, 11:14]
+        return self.packed[:, span(PARAMETER.colour)]
 
 
 @dataclass(frozen=True)
@@ -78,8 +75,8 @@ class _Settings:
 class _Tape:
     """What the backward pass needs of its forward pass. Arrays are in order of depth, as ``Render.order``.
 
-    packed (M, PACK), starts (tiles + 1,), entries (E,), spans (E, 2), done (tiles,): see ``project``, ``bin_tiles`` and
-    ``blend_forward``. sloped: the depth has no gradient.
+    packed (M, FOOTPRINT_COLUMNS), starts (tiles + 1,), entries (E,), spans (E, 2), done (tiles,): see ``project``,
+    ``bin_tiles`` and ``blend_forward``. sloped: the depth has no gradient.
     """
 
     settings: _Settings
@@ -167,7 +164,7 @@ class Render:
 
         Colours blend linearly, so these are the gradients by the colours for dL/d(planes) = ``planes``.
         """
-        return np.asarray(self.moments(planes).sums[:, :, _COLOURS].sum(axis=0))
+        return np.asarray(self.moments(planes).sums[:, :, span(MOMENT.colour)].sum(axis=0))
 
     def moments(self, d_planes: F32, d_depth: F32 | None = None, d_opacity: F32 | None = None) -> Moments:
         """The pixels' half of ``backward``, which raises the same: dL/d(planes) (3, H, W) -> sums per Gaussian."""
@@ -237,7 +234,7 @@ class Renderer:
         T_cw = invert_pose(T_wc)
         R_cw, t_cw = np.ascontiguousarray(T_cw[:3, :3]), np.ascontiguousarray(T_cw[:3, 3])
         n = len(gaussians)
-        packed, key = np.empty((n, PACK), np.float32), np.empty(n, np.float32)
+        packed, key = np.empty((n, FOOTPRINT_COLUMNS), np.float32), np.empty(n, np.float32)
         rows, cols = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
         project.project(
             gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.colours,

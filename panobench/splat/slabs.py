@@ -13,9 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from panobench.photometric.warp import atan2_fast
-from panobench.splat.block import BLOCK, channels
-from panobench.splat.kernel_options import INLINE, JIT
+from panobench.kernels.block import BLOCK, channels
+from panobench.kernels.columns import CAM
+from panobench.kernels.columns import FOOTPRINT as F
+from panobench.kernels.fast_math import atan2_fast
+from panobench.kernels.jit import INLINE, JIT
 from panobench.splat.view import BOUND_LATLON
 
 # Offsets in a block's buffer: the footprint, the directions a and x of its column (without y), and the rows reached.
@@ -103,19 +105,20 @@ def slab_rows(which, columns, packed, rows, bound, axes, half, intr, first, last
     half: the view's.
     """
     buf = np.empty(_CHANNELS * BLOCK, np.float32)
-    H = np.float32(intr[1])
+    H = np.float32(intr[CAM.height])
     for s0 in range(0, len(which), BLOCK):
         n = min(BLOCK, len(which) - s0)
         for j in range(n):
             k, c = which[s0 + j], columns[s0 + j]
             for i in range(3):
-                buf[j + _P1[i]], buf[j + _P2[i]], buf[j + _M[i]] = packed[k, i], packed[k, 3 + i], packed[k, 6 + i]
-            buf[j + _CUT] = packed[k, 14]
+                buf[j + _P1[i]], buf[j + _P2[i]] = packed[k, F.p1[i]], packed[k, F.p2[i]]
+                buf[j + _M[i]] = packed[k, F.m[i]]
+            buf[j + _CUT] = packed[k, F.cut]
             buf[j + _AX], buf[j + _AZ], buf[j + _XX], buf[j + _XZ] = axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3]
         if bound == BOUND_LATLON:
             _rows_latlon(buf, n, half, H)
         else:
-            _rows_flat(buf, n, half, np.float32(intr[3]), np.float32(intr[5]))
+            _rows_flat(buf, n, half, np.float32(intr[CAM.fy]), np.float32(intr[CAM.cy]))
         for j in range(n):
             k = which[s0 + j]
             low, high = max(buf[j + _FIRST], -_F1), min(buf[j + _LAST], H + _F1)

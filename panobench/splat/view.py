@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.errors import UnsupportedError
-from panobench.splat.kernel_options import TILE_H, TILE_W
 
+#: Size of a tile in pixels: one row of it is one AVX-512 register, or two of AVX2.
+TILE_W, TILE_H = 16, 16
 Projection = Literal["sphere", "erp", "pinhole"]
 #: Kernel codes of the projections.
 SPHERE, CONIC_ERP, CONIC_PINHOLE = 0, 1, 2

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from panobench.studies.base import StudyRequest, StudyResult
+from panobench.bench.study_record import StudyResult
+from panobench.studies.base import StudyRequest
 from panobench.studies.cells import FAILED, QUICK, RunOptions, geometric_mean, mean, median, reasons, run_cells
 from panobench.studies.published import published_table, source_notes
 

@@ -1,4 +1,4 @@
-"""What a study gets and gives back. A study regenerates a table or figure of the paper."""
+"""What a study is asked for. It regenerates a table or figure of the paper and returns a ``StudyResult``."""
 
 from __future__ import annotations
 
@@ -39,20 +39,3 @@ class StudyRequest:
         chosen = override(full, quick, "quick option") if self.quick else full
         known: Options = override(chosen, self.options, "study option")
         return known
-
-
-@dataclass
-class StudyResult:
-    """tables: name -> rows (dicts with the same keys). figures: name -> Plotly figure as a dict. notes: text lines.
-
-    A column's key is its heading, for example "ATE [mm] ↓": the unit in brackets, an arrow for what is better. Cells
-    are text, numbers, None (not measured) or "/" (failed); a row with ``"source": "published"`` is set apart.
-    captions: a line of text for a table or figure of that name; its first sentence is the heading.
-    """
-
-    name: str
-    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    figures: dict[str, dict[str, Any]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    title: str = ""
-    captions: dict[str, str] = field(default_factory=dict)

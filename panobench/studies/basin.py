@@ -14,10 +14,11 @@ import numpy as np
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
 from panobench.bench.opening import open_input
 from panobench.bench.request import RunRequest
+from panobench.bench.study_record import StudyResult
 from panobench.datasets.base import FrameSequence
 from panobench.errors import DatasetError, UsageError
 from panobench.studies import basin_figures
-from panobench.studies.base import StudyRequest, StudyResult
+from panobench.studies.base import StudyRequest
 from panobench.studies.fov import FULL_TURN, pinhole_width
 from panobench.writing import write_whole
 

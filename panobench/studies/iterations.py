@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from panobench.bench.paper import load_published
+from panobench.bench.study_record import StudyResult
 from panobench.errors import UsageError
-from panobench.report.published import load_published
-from panobench.studies.base import StudyRequest, StudyResult
+from panobench.studies.base import StudyRequest
 from panobench.studies.cells import FAILED, QUICK, RunOptions, mean, median, reasons, run_cells
 from panobench.studies.fov import pinhole_width
 from panobench.studies.published import source_notes

@@ -5,10 +5,10 @@ from __future__ import annotations
 import shlex
 
 from panobench.bench.provenance import provenance
+from panobench.bench.study_record import StudyResult, write_study
 from panobench.errors import PanobenchError
 from panobench.specs import StudySpec
-from panobench.studies.base import StudyRequest, StudyResult
-from panobench.studies.stored import write_study
+from panobench.studies.base import StudyRequest
 
 
 def perform(spec: StudySpec, request: StudyRequest) -> StudyResult:

@@ -8,10 +8,11 @@ from typing import Any
 
 from panobench.bench.cells import Cell
 from panobench.bench.store import Stored
+from panobench.bench.study_record import StudyResult
 from panobench.errors import DatasetError, UsageError
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED
 from panobench.studies import basin
-from panobench.studies.base import StudyRequest, StudyResult
+from panobench.studies.base import StudyRequest
 from panobench.studies.cells import FAILED, QUICK, RunOptions, middle, reasons, run_cells
 from panobench.types import RunStatus
 

@@ -12,10 +12,9 @@ import pytest
 from chromium_pipe import Page, find_chromium
 from fake_runs import write_suite
 
+from panobench.bench.study_record import StudyResult, write_study
 from panobench.report.build import write_report
-from panobench.studies.base import StudyResult
 from panobench.studies.basin_figures import contour, shares, surface
-from panobench.studies.stored import write_study
 
 CHROMIUM = find_chromium()
 pytestmark = [

@@ -8,11 +8,11 @@ import re
 
 import pytest
 
+from panobench.bench.paper import Published, load_published
 from panobench.report.collect import collect
 from panobench.report.exports import FORMATS, csv_text, latex_text
 from panobench.report.headline import tiles
 from panobench.report.model import Collection
-from panobench.report.published import Published, load_published
 from panobench.report.ranking import failure, ranks
 from panobench.report.table_model import format_number, length_text
 from panobench.report.tables import build_tables

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from panobench.splat.algebra import exp_fast, log_fast, rotation, tangent_basis
+from panobench.kernels.fast_math import exp_fast, log_fast
+from panobench.splat.algebra import rotation, tangent_basis
 
 
 def test_exp_and_log_are_good_to_float32() -> None:

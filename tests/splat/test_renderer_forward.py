@@ -14,9 +14,8 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.errors import PanobenchError
 from panobench.splat.gaussians import GaussianMap
-from panobench.splat.kernel_options import TILE_H, TILE_W
 from panobench.splat.render import Renderer
-from panobench.splat.view import Projection
+from panobench.splat.view import TILE_H, TILE_W, Projection
 
 
 def check_images(

@@ -10,9 +10,12 @@ from splat_scenes import gaussian_map
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
+from panobench.kernels.columns import FOOTPRINT as F
+from panobench.kernels.columns import span
+from panobench.splat.footprint import COS_MIN
 from panobench.splat.gaussians import GaussianMap
-from panobench.splat.kernel_options import COS_MIN, TILE_H, TILE_W
 from panobench.splat.render import Renderer
+from panobench.splat.view import TILE_H, TILE_W
 
 CAMERAS: dict[str, Camera] = {
     "least": ErpCamera(24, 12),  # a column of tiles is more than half of it
@@ -52,8 +55,8 @@ def spans_and_truth(camera: Camera, g: GaussianMap) -> tuple[np.ndarray, np.ndar
             assert not cell.any()  # no instance twice
             cell[:] = True
     p, rays = s.packed.astype(np.float64), view.rays.astype(np.float64)
-    t1, t2, depth = (np.einsum("mi,ihw->mhw", p[:, k : k + 3], rays) for k in (0, 3, 6))
-    inside = t1**2 + t2**2 <= (1 - 1e-4) * p[:, 14, None, None] * depth**2
+    t1, t2, depth = (np.einsum("mi,ihw->mhw", p[:, span(vector)], rays) for vector in (F.p1, F.p2, F.m))
+    inside = t1**2 + t2**2 <= (1 - 1e-4) * p[:, F.cut, None, None] * depth**2
     return visited, inside & (depth > COS_MIN)
 
 

@@ -10,11 +10,12 @@ import pytest
 from panobench.bench.cells import Cell
 from panobench.bench.record import RunRecord
 from panobench.bench.store import Stored
+from panobench.bench.study_record import StudyResult
 from panobench.errors import UnknownNameError, UsageError
 from panobench.plugins import registry
 from panobench.specs import StudySpec
 from panobench.studies import ablation, basin, cells, fov, iterations, robustness
-from panobench.studies.base import StudyRequest, StudyResult
+from panobench.studies.base import StudyRequest
 
 Answer = dict[str, Any]
 

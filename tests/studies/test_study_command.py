@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from panobench.bench.study_record import StoredStudy, StudyResult, read_study, write_study
 from panobench.cli.main import run as cli
 from panobench.errors import InputError
 from panobench.report.build import write_report
 from panobench.report.studies import study_tables
-from panobench.studies.base import StudyResult
-from panobench.studies.stored import StoredStudy, read_study, write_study
 
 
 @pytest.mark.slow

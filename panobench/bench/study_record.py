@@ -1,4 +1,4 @@
-"""A study's result on disk: ``study.json`` in its folder, beside the runs it was made from."""
+"""The result of a study, and its record on disk: ``study.json`` in a folder, beside the runs it was made from."""
 
 from __future__ import annotations
 
@@ -10,12 +10,28 @@ from typing import Any
 
 from panobench.errors import InputError
 from panobench.reading import parse_json, read_text
-from panobench.studies.base import StudyResult
 from panobench.writing import json_ready, write_whole
 
 STUDY_JSON = "study.json"
 SCHEMA = 1
 MAX_BYTES = 64 << 20
+
+
+@dataclass
+class StudyResult:
+    """tables: name -> rows (dicts with the same keys). figures: name -> Plotly figure as a dict. notes: text lines.
+
+    A column's key is its heading, for example "ATE [mm] ↓": the unit in brackets, an arrow for what is better. Cells
+    are text, numbers, None (not measured) or "/" (failed); a row with ``"source": "published"`` is set apart.
+    captions: a line of text for a table or figure of that name; its first sentence is the heading.
+    """
+
+    name: str
+    tables: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    figures: dict[str, dict[str, Any]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    title: str = ""
+    captions: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
