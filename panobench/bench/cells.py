@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any
 
+from panobench.bench.artifacts import artifact_checksums
 from panobench.bench.config import config_values, method_config
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
-from panobench.bench.opening import DEFAULT_DEPTH, check_kind, method_spec, open_input
-from panobench.bench.outside import outside_files
 from panobench.bench.request import RunRequest, run_options, run_words
+from panobench.bench.setup import DEFAULT_DEPTH, check_kind, method_spec, open_input
 from panobench.errors import DatasetError, InputError, OutputError, PanobenchError, UnknownNameError, UsageError
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.plugins import registry
@@ -99,7 +99,7 @@ class Planner:
             config = method_config(spec, cell.request.preset, cell.request.settings)
             data, kind = self._data_of(cell.request)
             check_kind(kind, spec)
-            files = outside_files(cell.request, spec, config)
+            files = artifact_checksums(cell.request, spec, config)
         except (UsageError, OutputError):  # a mistake in the suite; a cache that cannot be written
             raise
         except PanobenchError as error:

@@ -15,7 +15,7 @@ class Observer:
     """Called from the run's own thread, between frames; never counted in the method's time. Does nothing."""
 
     def stage(self, text: str) -> None:
-        """What happens now: "opening", "tracking", "finishing", "evaluating"."""
+        """What happens now: "setting up", "tracking", "finishing", "evaluating"."""
 
     def log(self, line: str) -> None:
         """A line was added to log.txt."""

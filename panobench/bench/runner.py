@@ -14,15 +14,15 @@ from typing import Any, TextIO
 import numpy as np
 
 from panobench.bench.blas import one_blas_thread
-from panobench.bench.document import run_record, timing_record, write_run
 from panobench.bench.evaluate import Scores, evaluate
 from panobench.bench.memory import Meter
 from panobench.bench.observer import Observer
-from panobench.bench.opening import Opened, open_run, oracle_depth
 from panobench.bench.provenance import provenance
 from panobench.bench.record import CellRecord, RunRecord
 from panobench.bench.request import RunRequest
+from panobench.bench.results import run_record, timing_record, write_run
 from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
+from panobench.bench.setup import RunSetup, oracle_depth, set_up_run
 from panobench.bench.tracking import Pose, Tracked, track_batch, track_online
 from panobench.bench.views import held_out
 from panobench.methods.base import BatchMethod, MethodContext
@@ -75,11 +75,11 @@ def execute(
     observer = observer or Observer()
     target = out or default_folder(request)
     check_free(target, force)
-    observer.stage("opening")
-    opened = open_run(request)
+    observer.stage("setting up")
+    setup = set_up_run(request)
     with PendingRun(target, force) as pending:
         with (pending.path / LOG).open("w", encoding="utf-8") as file:
-            record = _run(request, opened, pending.path, RunLog(file, observer.log), observer, cell)
+            record = _run(request, setup, pending.path, RunLog(file, observer.log), observer, cell)
         folder = pending.publish()
     _call_hooks("run_finished", None, folder=folder, run=record.to_dict())
     return folder
@@ -87,7 +87,7 @@ def execute(
 
 def _run(
     request: RunRequest,
-    opened: Opened,
+    setup: RunSetup,
     folder: Path,
     log: RunLog,
     observer: Observer,
@@ -95,35 +95,35 @@ def _run(
 ) -> RunRecord:
     origin = provenance()
     spec = request.to_dict()
-    _call_hooks("run_started", log, spec=spec, sequence=opened.sequence)
-    log(f"{request.method} on {request.dataset}/{opened.sequence.name}, {len(opened.sequence)} frames")
-    said = opened.sequence.remarks()
+    _call_hooks("run_started", log, spec=spec, sequence=setup.sequence)
+    log(f"{request.method} on {request.dataset}/{setup.sequence.name}, {len(setup.sequence)} frames")
+    said = setup.sequence.remarks()
     for remark in said:
         log(f"note: {remark}")
-    holdout = held_out(len(opened.sequence), request.holdout)
+    holdout = held_out(len(setup.sequence), request.holdout)
     _seed(request.seed)
     with Meter() as meter:
-        tracked = _track(request, opened, folder, frozenset(holdout), log, observer)
+        tracked = _track(request, setup, folder, frozenset(holdout), log, observer)
         cpu_s = meter.cpu_s
     if tracked.failure:
         log(tracked.failure)
-    scores = _score(opened, tracked, holdout, folder / RENDERS, log, observer)
+    scores = _score(setup, tracked, holdout, folder / RENDERS, log, observer)
     log(f"{scores.status.value}: {scores.message}" if scores.message else scores.status.value)
     timing = timing_record(tracked, scores.evaluation_s)
     timing.peak_rss_bytes, timing.cpu_s = meter.peak_rss_bytes, cpu_s
-    record = run_record(request, opened, tracked, holdout, scores, timing, origin)
+    record = run_record(request, setup, tracked, holdout, scores, timing, origin)
     record.cell = cell
     for remark in record.remarks:
         if remark not in said:
             log(f"note: {remark}")
     observer.stage("writing")
-    write_run(folder, record, opened, tracked, holdout)
+    write_run(folder, record, setup, tracked, holdout)
     return record
 
 
 def _track(
     request: RunRequest,
-    opened: Opened,
+    setup: RunSetup,
     folder: Path,
     holdout: frozenset[int],
     log: RunLog,
@@ -132,20 +132,20 @@ def _track(
     """Give the method its frames; its work folder is gone afterwards."""
     import tempfile
 
-    sequence, needs = opened.sequence, opened.spec.needs
+    sequence, needs = setup.sequence, setup.spec.needs
     truth = sequence.groundtruth
     with tempfile.TemporaryDirectory(prefix="work-", dir=folder, ignore_cleanup_errors=True) as work:
         context = MethodContext(
             seed=request.seed,
             work=Path(work),
-            make_depth=opened.depth.make if opened.depth else None,
+            make_depth=setup.depth.make if setup.depth else None,
             imu=sequence.imu if "imu" in needs else None,
             poses=_poses(sequence, truth) if "poses" in needs and truth is not None else None,
             log=log,
         )
         observer.started(len(sequence), truth)
         observer.stage("tracking")
-        method = opened.method
+        method = setup.method
 
         def frame_done(frame: Frame, T_wc: Pose | None, latency: float) -> None:
             _call_hooks("frame_done", log, frame=frame, T_wc=T_wc, latency_s=latency, method=method)
@@ -153,7 +153,7 @@ def _track(
         with one_blas_thread():
             if isinstance(method, BatchMethod):
                 return track_batch(method, sequence, holdout, context, observer)
-            return track_online(method, sequence, holdout, context, oracle_depth(opened), observer, frame_done)
+            return track_online(method, sequence, holdout, context, oracle_depth(setup), observer, frame_done)
 
 
 def _poses(sequence: Any, truth: Any) -> dict[int, Any]:
@@ -161,18 +161,18 @@ def _poses(sequence: Any, truth: Any) -> dict[int, Any]:
 
 
 def _score(
-    opened: Opened, tracked: Tracked, holdout: list[int], renders: Path, log: RunLog, observer: Observer
+    setup: RunSetup, tracked: Tracked, holdout: list[int], renders: Path, log: RunLog, observer: Observer
 ) -> Scores:
     assert tracked.estimate is not None
     observer.stage("evaluating")
     whole = tracked.status is RunStatus.OK
     data = MetricInput(
-        sequence=opened.sequence,
+        sequence=setup.sequence,
         estimate=tracked.estimate,
         frames=list(range(tracked.given)),
         holdout=[i for i in holdout if i < tracked.given],
         latency=tracked.latency,
-        render=opened.method.render if whole else None,
+        render=setup.method.render if whole else None,
         renders=renders if whole else None,
     )
     return evaluate(data, tracked.status, tracked.message, log)

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.bench.interrupts import InterruptRequest
 from panobench.bench.observer import Observer
-from panobench.bench.stopping import StopRequest
 from panobench.bench.views import BlindSequence, FrameReader
 from panobench.datasets.base import FrameSequence
 from panobench.errors import MethodError, PanobenchError
@@ -60,7 +60,7 @@ def track_online(
     read = FrameReader(sequence)
     begin = time.perf_counter()
     where = "start()"
-    with StopRequest() as stop:
+    with InterruptRequest() as stop:
         try:
             method.start(sequence.camera, context)
             result.start_s = time.perf_counter() - begin
@@ -104,7 +104,7 @@ def track_batch(
     blind = BlindSequence(sequence, holdout, context.imu)
     where, busy = "set_up()", 0.0
     begin = time.perf_counter()
-    with StopRequest(at_once=True):
+    with InterruptRequest(at_once=True):
         try:
             method.set_up(blind, context)
             result.start_s = time.perf_counter() - begin

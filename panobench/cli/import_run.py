@@ -76,14 +76,14 @@ def score_import(
 
     Raises PanobenchError for a trajectory, renders or a sequence that cannot be used; nothing is written then.
     """
-    from panobench.bench.document import run_record, write_run
     from panobench.bench.evaluate import evaluate
     from panobench.bench.observer import Observer
-    from panobench.bench.opening import Opened, open_input
     from panobench.bench.provenance import provenance
     from panobench.bench.record import TimingRecord
+    from panobench.bench.results import run_record, write_run
     from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
     from panobench.bench.runner import RunLog, default_folder
+    from panobench.bench.setup import RunSetup, open_input
     from panobench.bench.tracking import track_batch
     from panobench.bench.views import held_out
     from panobench.external.imported import ImportedTrajectory
@@ -97,7 +97,7 @@ def score_import(
     holdout = held_out(len(sequence), request.holdout)
     method = ImportedTrajectory(trajectory, options)
     spec = MethodSpec(request.method, "imported", "", cameras=(sequence.camera.kind,), citation=citation)
-    opened = Opened(spec, "imported", method, None, sequence, None)
+    setup = RunSetup(spec, "imported", method, None, sequence, None)
     tracked = track_batch(method, sequence, frozenset(holdout), MethodContext(), Observer())
     assert tracked.estimate is not None
     tracked.latency, tracked.wall_s = [], 0.0
@@ -115,9 +115,9 @@ def score_import(
             )
             scores = evaluate(data, tracked.status, tracked.message, log)
             timing = TimingRecord(evaluation_s=scores.evaluation_s)  # nothing else was timed here
-            record = run_record(request, opened, tracked, holdout, scores, timing, provenance())
+            record = run_record(request, setup, tracked, holdout, scores, timing, provenance())
             _mark(record, trajectory, options)
-            write_run(pending.path, record, opened, tracked, holdout)
+            write_run(pending.path, record, setup, tracked, holdout)
         return pending.publish()
 
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
-from panobench.bench.opening import open_input
 from panobench.bench.request import RunRequest
+from panobench.bench.setup import open_input
 from panobench.bench.study_record import StudyResult
 from panobench.datasets.base import FrameSequence
 from panobench.errors import DatasetError, UsageError

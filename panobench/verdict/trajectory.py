@@ -68,8 +68,8 @@ def second_method(trajectory: Trajectory, other: Trajectory, name: str, given: i
     return Evidence(
         f"check by {name}", falling(deviation, AGREE, DISAGREE),
         f"its path and that of '{name}' differ by {100 * deviation:.2f}% of the path",
-        f"one of the two is wrong: compare both in `panobench report`, mask what moves with the camera (--mask), or "
-        f"use the method whose path looks right",
+        "one of the two is wrong: compare both in `panobench report`, mask what moves with the camera (--mask), or "
+        "use the method whose path looks right",
     )  # fmt: skip
 
 

@@ -167,7 +167,7 @@ def test_the_suites_that_come_with_panobench_are_read_and_name_what_there_is(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from panobench.bench.config import method_config
-    from panobench.bench.opening import check_camera
+    from panobench.bench.setup import check_camera
     from panobench.plugins import registry
     from panobench.specs import MethodSpec
 

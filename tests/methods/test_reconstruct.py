@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from panobench.bench.opening import open_run
 from panobench.bench.request import RunRequest
+from panobench.bench.setup import set_up_run
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.datasets.trajectory_io import write_tum
@@ -100,6 +100,6 @@ def test_data_without_truth_need_a_trajectory(tmp_path):
     write_tum(tmp_path / "t.tum", sequence.groundtruth)
     request = RunRequest("reconstruct", dataset="folder", root=str(tmp_path), sequence="seq", width=64)
     with pytest.raises(UnsupportedError, match="needs given poses"):
-        open_run(request)
+        set_up_run(request)
     named = dataclasses.replace(request, settings={"trajectory": str(tmp_path / "t.tum")})
-    assert open_run(named).sequence.groundtruth is None
+    assert set_up_run(named).sequence.groundtruth is None

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from panobench.bench.document import write_depth
+from panobench.bench.results import write_depth
 from panobench.bench.runfolder import write_frames, write_json
 from panobench.datasets.trajectory_io import write_tum
 from panobench.geometry import make_pose, so3_exp

@@ -11,7 +11,6 @@ import numpy as np
 
 from panobench.bench.config import config_values
 from panobench.bench.evaluate import Scores
-from panobench.bench.opening import Opened
 from panobench.bench.provenance import ProvenanceRecord
 from panobench.bench.record import (
     DepthRecord,
@@ -25,6 +24,7 @@ from panobench.bench.record import (
 )
 from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import FRAMES, GROUNDTRUTH, MAP, RENDERS, TRAJECTORY, write_frames
+from panobench.bench.setup import RunSetup
 from panobench.bench.tracking import Tracked, frame_indices
 from panobench.errors import PanobenchError
 from panobench.metrics.base import PROTOCOL_VERSION
@@ -33,7 +33,7 @@ from panobench.types import DepthEstimate
 
 def run_record(
     request: RunRequest,
-    opened: Opened,
+    setup: RunSetup,
     tracked: Tracked,
     holdout: list[int],
     scores: Scores,
@@ -41,26 +41,26 @@ def run_record(
     origin: ProvenanceRecord,
 ) -> RunRecord:
     """What is known of a run (the map's entry is added when the map is written)."""
-    estimate, sequence = tracked.estimate, opened.sequence
+    estimate, sequence = tracked.estimate, setup.sequence
     assert estimate is not None
-    used_depth = opened.depth is not None and (opened.depth.made > 0 or opened.depth.chosen)
+    used_depth = setup.depth is not None and (setup.depth.made > 0 or setup.depth.chosen)
     return RunRecord(
         status=scores.status.value,
         message=scores.message,
         spec=SpecRecord.of(
             request,
             sequence=sequence.name,
-            depth=opened.depth.label if used_depth and opened.depth else None,
-            config=config_values(opened.config),
+            depth=setup.depth.label if used_depth and setup.depth else None,
+            config=config_values(setup.config),
             camera_model=sequence.camera.to_dict(),
         ),
         method=MethodRecord(
-            name=opened.spec.name,
-            origin=opened.origin,
-            contract=opened.spec.contract,
-            licence=opened.spec.licence,
-            citation=opened.spec.citation,
-            needs=list(opened.spec.needs),
+            name=setup.spec.name,
+            origin=setup.origin,
+            contract=setup.spec.contract,
+            licence=setup.spec.licence,
+            citation=setup.spec.citation,
+            needs=list(setup.spec.needs),
         ),
         protocol=PROTOCOL_VERSION,
         metric=bool(estimate.metric),
@@ -74,7 +74,7 @@ def run_record(
             held_out=len([i for i in holdout if i < tracked.given]),
         ),
         keyframes=list(estimate.keyframes),
-        depth=_depth_record(opened, estimate.depth),
+        depth=_depth_record(setup, estimate.depth),
         groundtruth=sequence.groundtruth is not None,
         remarks=sequence.remarks(),
         extra=dict(estimate.extra),
@@ -103,14 +103,14 @@ def timing_record(tracked: Tracked, evaluation_s: float) -> TimingRecord:
     )
 
 
-def _depth_record(opened: Opened, estimate: DepthEstimate | None) -> DepthRecord:
+def _depth_record(setup: RunSetup, estimate: DepthEstimate | None) -> DepthRecord:
     """Where the map's first depth came from; a dataset's own depth is flagged."""
-    choice = opened.depth
-    needs_depth = "depth" in opened.spec.needs
+    choice = setup.depth
+    needs_depth = "depth" in setup.spec.needs
     record = DepthRecord(
         source=choice.label if choice and choice.made else ("input" if needs_depth else None),
         oracle=bool(needs_depth or (choice and choice.made and choice.spec.needs_dataset_depth)),
-        poses_given="poses" in opened.spec.needs,
+        poses_given="poses" in setup.spec.needs,
     )
     if estimate is not None:
         record.frame, record.ok, record.message = estimate.frame_index, estimate.ok, estimate.message
@@ -121,17 +121,17 @@ def _depth_record(opened: Opened, estimate: DepthEstimate | None) -> DepthRecord
     return record
 
 
-def write_run(folder: Path, record: RunRecord, opened: Opened, tracked: Tracked, holdout: list[int]) -> None:
+def write_run(folder: Path, record: RunRecord, setup: RunSetup, tracked: Tracked, holdout: list[int]) -> None:
     """Write everything but log.txt and renders below ``folder``; run.json last. Fills in ``record.map``."""
     from panobench.datasets.trajectory_io import write_tum
 
-    estimate, sequence = tracked.estimate, opened.sequence
+    estimate, sequence = tracked.estimate, setup.sequence
     assert estimate is not None
     write_tum(folder / TRAJECTORY, estimate.trajectory)
     truth = sequence.groundtruth
     if truth is not None:
         write_tum(folder / GROUNDTRUTH, truth)
-    write_frames(folder / FRAMES, frame_rows(opened, tracked, frozenset(holdout)))
+    write_frames(folder / FRAMES, frame_rows(setup, tracked, frozenset(holdout)))
     if estimate.map is not None:
         try:
             estimate.map.write_ply(folder / MAP)
@@ -143,9 +143,9 @@ def write_run(folder: Path, record: RunRecord, opened: Opened, tracked: Tracked,
     write_record(folder, record)
 
 
-def frame_rows(opened: Opened, tracked: Tracked, holdout: frozenset[int]) -> list[dict[str, Any]]:
+def frame_rows(setup: RunSetup, tracked: Tracked, holdout: frozenset[int]) -> list[dict[str, Any]]:
     """One row per frame given: index, time, name, tracked, mappable, keyframe, latency_s, then the method's own."""
-    estimate, sequence = tracked.estimate, opened.sequence
+    estimate, sequence = tracked.estimate, setup.sequence
     assert estimate is not None
     posed, keyframes = set(frame_indices(estimate, sequence)), set(estimate.keyframes)
     rows = []

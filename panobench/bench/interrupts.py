@@ -8,7 +8,7 @@ from types import FrameType, TracebackType
 from typing import Any
 
 
-class StopRequest:
+class InterruptRequest:
     """A context manager that turns SIGINT and SIGTERM into ``requested``. Only acts in the main thread.
 
     ``at_once``: raise KeyboardInterrupt at the first signal already (for work that cannot look at ``requested``).
@@ -19,7 +19,7 @@ class StopRequest:
         self.at_once = at_once
         self._old: dict[int, Any] = {}
 
-    def __enter__(self) -> StopRequest:
+    def __enter__(self) -> InterruptRequest:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._old[number] = signal.signal(number, self._handle)

@@ -43,7 +43,7 @@ class DepthChoice:
 
 
 @dataclass
-class Opened:
+class RunSetup:
     """Everything a run needs, ready to start."""
 
     spec: MethodSpec
@@ -54,7 +54,7 @@ class Opened:
     depth: DepthChoice | None
 
 
-def open_run(request: RunRequest) -> Opened:
+def set_up_run(request: RunRequest) -> RunSetup:
     """Raises UnknownNameError, UsageError, UnsupportedError, UnavailableError or DatasetError."""
     spec = method_spec(request)
     config = method_config(spec, request.preset, request.settings)
@@ -70,7 +70,7 @@ def open_run(request: RunRequest) -> Opened:
     if "poses" in spec.needs and sequence.groundtruth is None and not own_poses:
         raise UnsupportedError(f"method '{spec.name}' needs given poses; sequence '{sequence.name}' has none")
     origin = registry().entries[MethodSpec.kind][spec.name].origin
-    return Opened(spec, origin, method, config, sequence, depth)
+    return RunSetup(spec, origin, method, config, sequence, depth)
 
 
 def method_spec(request: RunRequest) -> MethodSpec:
@@ -161,12 +161,12 @@ def open_depth(option: str | None) -> DepthChoice | None:
     return choice
 
 
-def oracle_depth(opened: Opened) -> Callable[[int], Any]:
+def oracle_depth(setup: RunSetup) -> Callable[[int], Any]:
     """Depth handed over with frame i: all there is for methods that need it, the first for an oracle, else none."""
-    sequence = opened.sequence
-    if "depth" in opened.spec.needs:
+    sequence = setup.sequence
+    if "depth" in setup.spec.needs:
         return sequence.depth
-    if opened.depth is None or not opened.depth.spec.needs_dataset_depth:
+    if setup.depth is None or not setup.depth.spec.needs_dataset_depth:
         return lambda index: None
     given: list[int] = []
 

@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from panobench.bench.config import config_values
-from panobench.bench.opening import open_depth
 from panobench.bench.request import RunRequest
+from panobench.bench.setup import open_depth
 from panobench.datasets.checksums import known_sha256
 from panobench.errors import InputError, PanobenchError, UnavailableError
 from panobench.plugins import registry
 from panobench.specs import MethodSpec, MetricSpec, load_object
 
 
-def outside_files(request: RunRequest, spec: MethodSpec, config: Any) -> dict[str, str]:
+def artifact_checksums(request: RunRequest, spec: MethodSpec, config: Any) -> dict[str, str]:
     """What for -> SHA-256 of a file's content, for all files that a run reads besides code and data.
 
     Files are named by a method's options, by a spec's ``files`` function, and by adapters of other programs. Where
