@@ -12,6 +12,10 @@ from panobench.errors import PanobenchError
 TUM = "# time x y z qx qy qz qw\n" + "".join(f"{i / 15:.6f} {0.1 * i} 0 0.2 0 0 0 1\n" for i in range(6))
 _TUM_NS = "".join(f"{i * 50_000_000} {0.1 * i} 0 0.2 0 0.6 0 0.8\n" for i in range(6))
 _KITTI = "".join(f"1 0 0 {0.1 * i} 0 1 0 0 0 0 1 {i}\n" for i in range(6))
+_NAMED = "ts (ns),tx (m),ty,tz,qx,qy,qz,qw,vx\n" + "".join(f"{i * 50_000_000},{i},0,0,0,0,0,1,9\n" for i in range(6))
+_ROS = "%time;header.stamp.secs;header.stamp.nsecs;position.x;position.y;position.z;qw;qx;qy;qz\n" + "".join(
+    f"9;0;{i * 50_000_000};{i},5;0;0;1;0;0;0\n" for i in range(6)
+)
 _EUROC = "#timestamp [ns],x,y,z,qw,qx,qy,qz\n" + "".join(f"{i * 50_000_000},{i},0,0,1,0,0,0,9,9\n" for i in range(6))
 
 
@@ -53,5 +57,6 @@ TARGETS = (
     Target("tum", "trajectory.tum", text(TUM, _TUM_NS, words="nan inf #"), plain(_parse_tum)),
     Target("subprocess-trajectory", "answer.txt", text(TUM.replace("/15", "/20"), _TUM_NS, _KITTI, _EUROC, "", "\n",
            "0 0 0 0 0 0 0 1\n0.05 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1\n"), _parse_answer),
-    Target("imported-trajectory", "theirs.txt", text(TUM, _TUM_NS, _KITTI, _EUROC), _parse_import),
+    Target("imported-trajectory", "theirs.txt", text(TUM, _TUM_NS, _KITTI, _EUROC, _NAMED, _ROS,
+           words="time ts [ns] (ms) stamp secs nsecs qw qx q_x orientation.w pos_x ; , #"), _parse_import),
 )  # fmt: skip

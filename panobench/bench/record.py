@@ -196,7 +196,7 @@ class RunRecord(JsonRecord):
     """Everything in run.json.
 
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
-    metric: the method says that its scale is metres. notes: metric -> why it is None. keyframes: indices of frames.
+    metric: the method says that its scale is metres. notes: metric -> why it is None or odd. keyframes: frame indices.
     groundtruth: whether there was any. remarks: what the dataset says about its data. extra: what the method reports.
     isolation: what the process that watched the run measured.
     """

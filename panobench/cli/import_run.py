@@ -28,8 +28,11 @@ def import_run(
     given: dict[str, Any],
     trajectory: Annotated[Path, typer.Argument(help="The trajectory: TUM, KITTI or EuRoC.")],
     name: Annotated[str, typer.Option(help="What the row is called: the method, as it is to stand in tables.")],
-    form: Annotated[str | None, typer.Option("--format", help="tum, tum-ns, kitti or euroc; default: look.")] = None,
+    form: Annotated[
+        str | None, typer.Option("--format", help="tum, tum-ns, kitti, euroc or csv; default: look.")
+    ] = None,
     inverse: Annotated[bool, typer.Option("--inverse", help="The file holds world-to-camera poses.")] = False,
+    time_unit: Annotated[str | None, typer.Option(help="What its times count: s, ms, us or ns; default: look.")] = None,
     time_offset: Annotated[float, typer.Option(help="Seconds added to the trajectory's times.")] = 0.0,
     max_dt: Annotated[float | None, typer.Option(help="Seconds a pose may be away from its frame.")] = None,
     metric: Annotated[bool, typer.Option("--metric", help="Its scale is metres: add the error without scale.")] = False,
@@ -50,7 +53,7 @@ def import_run(
     if not name.strip() or not name.isprintable() or len(name) > 80:
         raise UsageError("--name: give one line of up to 80 characters")
     request = RunRequest(method=name, **given)
-    options = ImportOptions(form, inverse, time_offset, max_dt, metric, renders)  # type: ignore[arg-type]
+    options = ImportOptions(form, inverse, time_offset, max_dt, metric, renders, time_unit)  # type: ignore[arg-type]
     folder = score_import(trajectory, request, options, out, force=force, citation=citation)
     record = read_record(folder)
     if as_json:

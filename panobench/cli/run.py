@@ -107,5 +107,5 @@ def summary(folder: Path, record: RunRecord) -> str:
             lines.append(f"{label:18}{form.format(value * factor)}")
     if record.depth.oracle:
         lines.append("note: the dataset's own depth was given to the method (oracle)")
-    lines += [f"note: {remark}" for remark in record.remarks]
+    lines += [f"note: {remark}" for remark in (*record.remarks, record.notes.get("ate_rotation_rmse_deg")) if remark]
     return "\n".join(lines)

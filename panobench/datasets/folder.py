@@ -19,9 +19,17 @@ from panobench.cameras.calibration import Calibration, inspect_calibration
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import read_image, read_mask
+from panobench.datasets.imu_table import read_imu_table
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.natural import natural_paths
-from panobench.datasets.trajectory_io import check_times, parse_floats, poses_from_rows, read_rows, read_table, read_tum
+from panobench.datasets.trajectory_io import (
+    check_times,
+    parse_floats,
+    poses_from_rows,
+    read_named_rows,
+    read_rows,
+    read_tum,
+)
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import DatasetError
 from panobench.reading import inside, number_array, parse_json, read_text
@@ -34,10 +42,11 @@ MAX_META_BYTES = 256 << 20
 
 
 def read_imu_csv(path: Path) -> Imu:
-    """imu.csv: time,wx,wy,wz,ax,ay,az in s, rad/s and m/s^2. Raises DatasetError with file:line."""
-    table, lines = read_table(path, 7, "time,wx,wy,wz,ax,ay,az", delimiter=",", header=True, exact=True)
-    check_times(table[:, 0], path, lines)
-    return Imu(table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy())
+    """imu.csv: time,wx,wy,wz,ax,ay,az in s, rad/s and m/s^2, or in the order and unit of time that its header names.
+
+    Raises DatasetError with file:line.
+    """
+    return read_imu_table(path, exact=True)
 
 
 def groundtruth_at(path: Path, times: np.ndarray, tolerance: float = TIME_TOLERANCE_S) -> Trajectory:
@@ -176,16 +185,16 @@ def _read_novel(folder: Path, camera: Camera) -> list[NovelView]:
     if not path.is_file():
         return []
     expected = "file,x,y,z,qx,qy,qz,qw"
-    rows = read_rows(path, delimiter=",")
-    rows = rows[1:] if rows and rows[0].fields[0] == "file" else rows
+    table = read_named_rows(path)
+    place, turn = table.columns.position or (1, 2, 3), table.columns.quaternion or (4, 5, 6, 7)
     images, numbers = [], []
-    for row in rows:
-        if len(row.fields) != 8:
+    for row in table.rows:
+        if len(row.fields) != max(7, *place, *turn) + 1:
             raise DatasetError(f"the row has {len(row.fields)} values, expected 8: {expected}", path, line=row.line)
         images.append(_image_inside(folder, row.fields[0], path, row.line))
-        numbers.append(parse_floats(row, row.fields[1:], path, expected))
+        numbers.append(parse_floats(row, [row.fields[k] for k in (*place, *turn)], path, expected))
     values = np.array(numbers).reshape(-1, 7)
-    poses = poses_from_rows(values, path, [row.line for row in rows])
+    poses = poses_from_rows(values, path, [row.line for row in table.rows])
     check_sizes(images, (camera.width, camera.height))
     return [NovelView(p.stem, read_image(p), camera, T) for p, T in zip(images, poses)]
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.columns import columns
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import list_images, read_image
 from panobench.datasets.locate import choose_sequence
@@ -44,7 +45,11 @@ class PoseTable:
 def read_pose_table(path: Path) -> PoseTable:
     """Parse ``frame_id image_name x y z qx qy qz qw`` rows; poses as stored. Raises DatasetError with file:line."""
     rows = read_rows(path)
+    order = [2, 3, 4, 5, 6, 7, 8]
     if rows and _is_header(rows[0].fields):
+        named = columns(rows[0].fields)
+        if named.position is not None and named.quaternion is not None and len(rows[0].fields) == 9:
+            order = [*named.position, *named.quaternion]
         rows = rows[1:]
     if not rows:
         raise DatasetError("the file has no pose", path)
@@ -56,7 +61,7 @@ def read_pose_table(path: Path) -> PoseTable:
             raise DatasetError(f"'{row.fields[1]}' is not a plain file name", path, line=row.line)
         ids += parse_floats(row, row.fields[:1], path, _COLUMNS)
         names.append(row.fields[1])
-        numbers.append(parse_floats(row, row.fields[2:], path, _COLUMNS))
+        numbers.append(parse_floats(row, [row.fields[k] for k in order], path, _COLUMNS))
     lines = [row.line for row in rows]
     values = np.array(numbers)
     return PoseTable(np.array(ids), names, poses_from_rows(values, path, lines), lines)

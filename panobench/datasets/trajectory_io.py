@@ -1,4 +1,4 @@
-"""Trajectory files: TUM (read, write), KITTI, EuRoC CSV; and the strict text tables they are made of.
+"""Trajectory files: TUM (read, write), KITTI, CSV by header; and the strict text tables they are made of.
 
 A row that does not parse, a time that is NaN or not later than the one before, or a quaternion that
 is no rotation raises DatasetError with file and line.
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from panobench.datasets.columns import Columns, columns, is_header
 from panobench.errors import DatasetError
 from panobench.geometry import make_pose, matrix_from_quaternion, quaternion_from_matrix, renormalise
 from panobench.types import Trajectory
@@ -35,6 +36,12 @@ def read_rows(path: Path, *, delimiter: str | None = None) -> list[Row]:
 
     Raises DatasetError if the file is missing, too large or not UTF-8 text.
     """
+    lines = [(number, line) for number, line in _lines(path) if not line.startswith("#")]
+    return [Row(number, [f.strip() for f in line.split(delimiter)]) for number, line in lines]
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """(number, text) of the lines that are not blank."""
     try:
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise DatasetError(f"the file is over {MAX_TEXT_BYTES >> 20} MiB, too large for a text table", path)
@@ -45,12 +52,41 @@ def read_rows(path: Path, *, delimiter: str | None = None) -> list[Row]:
         raise DatasetError(f"the file cannot be read ({error.strerror})", path) from error
     except UnicodeDecodeError:
         raise DatasetError("the file is not UTF-8 text", path) from None
-    rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        stripped = line.strip()
-        if stripped and not stripped.startswith("#"):
-            rows.append(Row(number, [f.strip() for f in stripped.split(delimiter)]))
-    return rows
+    stripped = ((number, line.strip()) for number, line in enumerate(text.splitlines(), start=1))
+    return [(number, line) for number, line in stripped if line]
+
+
+@dataclass(frozen=True)
+class NamedRows:
+    """Rows with what their header says. written: the header is a row of its own, not a comment that looks like one."""
+
+    rows: list[Row]
+    columns: Columns
+    written: bool
+    delimiter: str | None
+
+
+def read_named_rows(path: Path) -> NamedRows:
+    """Rows separated by commas, semicolons or white space, and their header: a first row of words, or a comment just
+    before the first row with as many names as it has values. Decimal commas are read where semicolons separate.
+    """
+    lines = _lines(path)
+    first = next((k for k, (_, line) in enumerate(lines) if not line.startswith("#")), len(lines))
+    if first == len(lines):
+        return NamedRows([], Columns(), False, None)
+    sample = lines[min(first + 1, len(lines) - 1)][1]
+    delimiter = next((d for d in (";", ",") if d in sample), None)
+
+    def split(line: str) -> list[str]:
+        fields = [f.strip() for f in line.split(delimiter)]
+        return [f.replace(",", ".") for f in fields] if delimiter == ";" else fields
+
+    rows = [Row(number, split(line)) for number, line in lines[first:] if not line.startswith("#")]
+    if len(rows) > 1 and is_header(rows[0].fields):
+        return NamedRows(rows[1:], columns(rows[0].fields), True, delimiter)
+    names = split(lines[first - 1][1].lstrip("# ")) if first else []
+    found = columns(names) if len(names) == len(rows[0].fields) and is_header(names) else Columns()
+    return NamedRows(rows, found, False, delimiter)
 
 
 def parse_floats(row: Row, fields: Iterable[str], path: Path, expected: str) -> list[float]:
@@ -147,14 +183,97 @@ def rows_from_poses(T_wc: Array) -> Array:
     return np.concatenate([T_wc[:, :3, 3], q[:, [1, 2, 3, 0]]], axis=1)
 
 
-def read_tum(path: Path) -> Trajectory:
-    """TUM: ``time x y z qx qy qz qw`` per line, ``#`` comments. Raises DatasetError with file:line."""
-    expected = "time x y z qx qy qz qw"
-    table, lines = read_table(path, 8, expected, exact=True)
-    if not len(table):
+def read_tum(path: Path, unit_s: float | None = None) -> Trajectory:
+    """TUM: ``time x y z qx qy qz qw`` per line, ``#`` comments; commas and a header are taken, too.
+
+    Where the header names the columns they are read by name. ``unit_s``: seconds in a unit of its times; None: as the
+    header says, else seconds unless they are too far apart. Raises DatasetError with file:line.
+    """
+    return _read_posed(path, read_named_rows(path), "time x y z qx qy qz qw", 1.0, unit_s)
+
+
+def read_pose_csv(path: Path, unit_s: float | None = None) -> Trajectory:
+    """A table of poses by its header. Without one, times in nanoseconds make it EuRoC's (qw first), others TUM's."""
+    table = read_named_rows(path)
+    nanoseconds = False
+    if table.rows and table.columns.quaternion is None:
+        stamps = np.array([parse_floats(row, row.fields[:1], path, "time")[0] for row in table.rows])
+        nanoseconds = (unit_s or time_unit(stamps, 1.0)) == 1e-9
+    if nanoseconds or (table.rows and len(table.rows[0].fields) > 8):
+        return _read_posed(path, table, _EUROC, 1e-9, unit_s)
+    return _read_posed(path, table, "time, x, y, z, qx, qy, qz, qw", 1.0, unit_s)
+
+
+_EUROC = "time in ns, x, y, z, qw, qx, qy, qz"
+_DEFAULT_COLUMNS = Columns(time=0, position=(1, 2, 3), quaternion=(4, 5, 6, 7))
+_EUROC_COLUMNS = Columns(time=0, position=(1, 2, 3), quaternion=(5, 6, 7, 4))
+
+
+def read_euroc_csv(path: Path, unit_s: float | None = None) -> Trajectory:
+    """EuRoC ground truth: ``time[ns], x, y, z, qw, qx, qy, qz, ...`` with commas; further columns are ignored.
+
+    Where the header names the columns they are read by name. Raises DatasetError with file:line.
+    """
+    return _read_posed(path, read_named_rows(path), _EUROC, 1e-9, unit_s)
+
+
+def _read_posed(
+    path: Path, table: NamedRows, expected: str, unit_s: float, forced_s: float | None = None
+) -> Trajectory:
+    """Poses of a table: by name, or as ``expected`` says for one without names; TUM has no further columns then.
+
+    ``forced_s``: seconds that a unit of the time stands for, whatever the table says.
+    """
+    if not table.rows:
         raise DatasetError("the trajectory has no pose", path)
-    check_times(table[:, 0], path, lines)
-    return Trajectory(table[:, 0].copy(), poses_from_rows(table[:, 1:8], path, lines))
+    where = table.columns
+    if where.position is None or where.quaternion is None or where.time is None:
+        if table.written:
+            wanted = {"time": where.time, "position (x, y, z)": where.position, "quaternion": where.quaternion}
+            missing = " and no ".join(name for name, place in wanted.items() if place is None)
+            raise DatasetError(f"the header names no {missing}; expected are names such as {expected}", path)
+        where = _EUROC_COLUMNS if expected == _EUROC else _DEFAULT_COLUMNS
+    exact = where is _DEFAULT_COLUMNS and expected != _EUROC
+    assert where.time is not None
+    assert where.position is not None
+    assert where.quaternion is not None
+    stamp = [where.time] if where.nanoseconds is None else [where.time, where.nanoseconds]
+    chosen = [*where.position, *where.quaternion]
+    need = 8 if exact else max(*stamp, *chosen) + 1
+    values = []
+    for row in table.rows:
+        n = len(row.fields)
+        if n < need or (exact and n > need):
+            raise DatasetError(f"the row has {n} values, expected {need}: {expected}", path, line=row.line)
+        values.append(parse_floats(row, [row.fields[k] for k in (*stamp, *chosen)], path, expected))
+    found, lines = np.array(values), [row.line for row in table.rows]
+    unit = forced_s or where.unit_s or time_unit(found[:, 0], unit_s)
+    times = found[:, 0] * unit if where.nanoseconds is None else found[:, 0] + 1e-9 * found[:, 1]
+    check_times(times, path, lines)
+    return Trajectory(times, poses_from_rows(found[:, len(stamp) :], path, lines))
+
+
+def time_unit(stamps: Array, default: float, fastest: float = 2e-3) -> float:
+    """Seconds that a unit of ``stamps`` (N,) stands for, by the distance between them; ``default`` where that may be.
+
+    Samples are taken to be ``fastest`` seconds to a thousand times as long apart. Milliseconds without a date cannot be
+    told from frame numbers: they stay as they are.
+    """
+    steps = np.diff(stamps)
+    steps = steps[steps > 0]
+    largest = float(np.abs(stamps).max(initial=0.0))
+    if not len(steps):
+        dates = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+        return next((unit for least, unit in dates if largest > least), default)
+    step = float(np.percentile(steps, 10, method="lower"))
+    if step >= fastest * 1e9:
+        return 1e-9
+    if step >= fastest * 1e6:
+        return 1e-6
+    if step >= fastest * 1e3 and largest > 1e11:
+        return 1e-3
+    whole = bool((stamps == np.rint(stamps)).all())
+    return default if default == 1.0 or (whole and step >= 1) else 1.0
 
 
 def tum_text(trajectory: Trajectory) -> str:
@@ -186,14 +305,3 @@ def read_kitti(path: Path, times: ArrayLike) -> Trajectory:
     if len(bad):
         raise DatasetError("the 3x3 part is not a rotation", path, line=lines[int(bad[0])])
     return Trajectory(stamps.copy(), renormalise(make_pose(R, T[:, :, 3])))
-
-
-def read_euroc_csv(path: Path) -> Trajectory:
-    """EuRoC ground truth: ``time[ns], x, y, z, qw, qx, qy, qz, ...`` with commas; further columns are ignored."""
-    expected = "time in ns, x, y, z, qw, qx, qy, qz"
-    table, lines = read_table(path, 8, expected, delimiter=",", header=True)
-    if not len(table):
-        raise DatasetError("the trajectory has no pose", path)
-    times = table[:, 0] * 1e-9
-    check_times(times, path, lines)
-    return Trajectory(times, poses_from_rows(table[:, [1, 2, 3, 5, 6, 7, 4]], path, lines))

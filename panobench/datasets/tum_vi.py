@@ -8,6 +8,7 @@ times the extrinsics, interpolated to the image times.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,10 @@ from panobench.cameras.calibration import Calibration, inspect_calibration
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource
 from panobench.datasets.images import read_mask
+from panobench.datasets.imu_table import read_imu_table
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.natural import natural_paths
-from panobench.datasets.trajectory_io import check_times, parse_floats, read_euroc_csv, read_rows, read_table
+from panobench.datasets.trajectory_io import check_times, parse_floats, read_euroc_csv, read_rows
 from panobench.datasets.trajectory_match import interpolate_poses
 from panobench.errors import CalibrationError, DatasetError
 from panobench.types import Imu, Trajectory
@@ -107,11 +109,8 @@ def _image_list(cam: Path) -> tuple[NDArray[np.float64], list[Path]]:
 
 
 def _read_imu(path: Path, calibration: Calibration) -> Imu:
-    expected = "time in ns, wx, wy, wz, ax, ay, az"
-    table, lines = read_table(path, 7, expected, delimiter=",", header=True)
-    times = table[:, 0] * 1e-9 - (calibration.time_offset_s or 0.0)
-    check_times(times, path, lines)
-    return Imu(times, table[:, 1:4].copy(), table[:, 4:7].copy(), calibration.body_T_cam)
+    imu = read_imu_table(path, unit_s=1e-9)
+    return replace(imu, times=imu.times - (calibration.time_offset_s or 0.0), T_body_cam=calibration.body_T_cam)
 
 
 def _camera_truth(path: Path, times: NDArray[np.float64], calibration: Calibration, source: Path) -> Trajectory | None:

@@ -24,12 +24,15 @@ if TYPE_CHECKING:
     from panobench.cameras.base import Camera
     from panobench.cameras.reproject import Reprojector
 
+#: Names of units of time, seconds.
+_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """form: "tum", "tum-ns", "kitti", "euroc", or None to tell from the file. inverse: it holds world-to-camera poses.
+    """form: one of "tum", "tum-ns", "kitti", "euroc", "csv", or None to tell from the file. inverse: it holds
+    world-to-camera poses. time_unit: what its times count, "s", "ms", "us" or "ns", or None to tell.
 
     time_offset: seconds added to its times. max_dt: seconds between a pose and its frame at most (None: 40% of the
     smallest interval between frames). metric: its scale is metres.
@@ -41,15 +44,17 @@ class ImportOptions:
     max_dt: float | None = None
     metric: bool = False
     renders: Path | None = None
+    time_unit: str | None = None
 
 
 def guess_format(path: Path) -> Kind:
-    """From the first row: 12 numbers KITTI, commas EuRoC, 8 numbers TUM. Raises InputError for anything else."""
-    rows = io.read_rows(path)
+    """By its header, its separators and the numbers in its first row. Raises InputError for anything else."""
+    table = io.read_named_rows(path)
+    rows = table.rows
     if not rows:
         raise InputError("the trajectory has no pose", path)
-    if "," in " ".join(rows[0].fields):
-        return "euroc"
+    if table.delimiter is not None or table.columns.quaternion is not None or table.written:
+        return "csv"
     if len(rows[0].fields) == 12:
         return "kitti"
     if len(rows[0].fields) == 8:
@@ -58,8 +63,8 @@ def guess_format(path: Path) -> Kind:
         except ValueError:
             pass
     raise InputError(
-        f"neither TUM (8 numbers a row) nor KITTI (12) nor EuRoC (commas): {len(rows[0].fields)} values; "
-        "name the format with --format",
+        "neither TUM (8 numbers a row) nor KITTI (12) nor EuRoC or another table with commas or a header: "
+        f"{len(rows[0].fields)} values; name the format with --format",
         path,
         line=rows[0].line,
     )
@@ -70,7 +75,10 @@ def read_imported(path: Path, options: ImportOptions, times: NDArray[np.float64]
     kind = options.form or guess_format(path)
     if kind not in get_args(Kind):
         raise UsageError(f"--format {kind}: known are {', '.join(get_args(Kind))}")
-    found = io.read_kitti(path, times) if kind == "kitti" else READERS[kind](path)
+    if options.time_unit not in (None, *_UNITS):
+        raise UsageError(f"--time-unit {options.time_unit}: known are {', '.join(_UNITS)}")
+    unit_s = None if options.time_unit is None else _UNITS[options.time_unit]
+    found = io.read_kitti(path, times) if kind == "kitti" else READERS[kind](path, unit_s)
     T = invert_pose(found.T_wc) if options.inverse else found.T_wc
     moved = Trajectory(found.times + options.time_offset, T)
     tolerance = options.max_dt
@@ -81,7 +89,7 @@ def read_imported(path: Path, options: ImportOptions, times: NDArray[np.float64]
         raise InputError(
             f"none of its {len(moved)} poses is within {tolerance:.3g} s of a frame: its times are "
             f"{moved.times[0]:.9g} to {moved.times[-1]:.9g} s, the sequence's {times[0]:.9g} to {times[-1]:.9g} s; "
-            "shift them with --time-offset",
+            "shift them with --time-offset, or say what they count with --time-unit",
             path,
         )
     return matched

@@ -15,7 +15,7 @@ from panobench.errors import DatasetError
 from panobench.geometry import invert_pose
 from panobench.types import Trajectory
 
-Kind = Literal["tum", "tum-ns", "kitti", "euroc"]
+Kind = Literal["tum", "tum-ns", "kitti", "euroc", "csv"]
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class TrajectoryFormat:
     """How a program writes its answer.
 
     kind: "tum"; "tum-ns", TUM with times in nanoseconds (ORB-SLAM3); "kitti", one pose per frame; "euroc", CSV with
-    times in nanoseconds and qw first. inverse: it writes world-to-camera. time_offset: added to its times, seconds.
+    times in nanoseconds and qw first, if no header says otherwise; "csv", a table by its header. inverse: it writes
+    world-to-camera. time_offset: added to its times, seconds.
     T_body_camera: poses are of a body; the camera's is T_world_body T_body_camera.
     index_rate: its times are frame index / rate (programs that take no times).
     """
@@ -35,20 +36,22 @@ class TrajectoryFormat:
     index_rate: float | None = None
 
 
-def _read_tum_ns(path: Path) -> Trajectory:
+def _read_tum_ns(path: Path, unit_s: float | None = None) -> Trajectory:
     """ORB-SLAM3's files: it writes the frame that started the map twice, the second line counts."""
     table, lines = io.read_table(path, 8, "time in ns, x y z qx qy qz qw", exact=True)
     last = np.append(np.diff(table[:, 0]) != 0, True)[: len(table)]
     table, lines = table[last], [line for line, keep in zip(lines, last) if keep]
-    times = table[:, 0] * 1e-9
+    times = table[:, 0] * (unit_s or 1e-9)
     io.check_times(times, path, lines)
     return Trajectory(times, io.poses_from_rows(table[:, 1:8], path, lines))
 
 
-READERS: dict[str, Callable[[Path], Trajectory]] = {
+#: By kind. Each takes a file, and seconds in a unit of its times if they are not as the kind says.
+READERS: dict[str, Callable[..., Trajectory]] = {
     "tum": io.read_tum,
     "tum-ns": _read_tum_ns,
     "euroc": io.read_euroc_csv,
+    "csv": io.read_pose_csv,
 }
 
 

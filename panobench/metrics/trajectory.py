@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -31,6 +32,9 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
         return values
     values["ate_rmse_m"] = _ape(aligned, "translation_part")
     values["ate_rotation_rmse_deg"] = _ape(aligned, "rotation_angle_deg")
+    explained = _explained_rotation(matched, aligned, values)
+    if explained:
+        data.notes["ate_rotation_rmse_deg"] = explained
     values["rpe_trans_rmse_m"] = _rpe(aligned, "translation_part")
     values["rpe_rotation_rmse_deg"] = _rpe(aligned, "rotation_angle_deg")
     values["scale"] = aligned.transform.scale
@@ -115,6 +119,22 @@ def _rpe(aligned: Aligned, relation: str) -> float:
     rpe = metrics.RPE(metrics.PoseRelation[relation], delta=1, delta_unit=metrics.Unit.frames, all_pairs=True)
     rpe.process_data((aligned.truth, aligned.estimate))
     return float(rpe.get_statistic(metrics.StatisticsType.rmse))
+
+
+def _explained_rotation(matched: Matched, aligned: Aligned, values: Mapping[str, float | None]) -> str | None:
+    """Why orientations are far off where positions are right, that is within a tenth of the path's extent.
+
+    Poses near one line are left alone: their alignment is free about it.
+    """
+    from panobench.metrics.orientation import explain_rotation
+
+    positions = matched.truth.positions
+    spread = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
+    extent = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    if (values["ate_rmse_m"] or 0.0) > 0.1 * extent or spread[1] < 0.05 * spread[0]:
+        return None
+    found = matched.estimate.T_wc[:, :3, :3]
+    return explain_rotation(matched.truth.T_wc[:, :3, :3], found, aligned.transform.R)
 
 
 def _keyframes(matched: Matched, data: MetricInput) -> Matched | None:
