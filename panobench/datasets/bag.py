@@ -22,15 +22,15 @@ from panobench.datasets.images import MAX_SIDE, check_limits
 from panobench.errors import DatasetError
 
 _MAGIC = b"#ROSBAG V2.0"
-#: Encodings of sensor_msgs/Image that are read, and their channels.
+#: Encodings of sensor_msgs/Image that can be read, and their number of channels.
 ENCODINGS = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3}
-#: A compressed chunk that unpacks to more is refused; recorders write chunks of about a megabyte.
+#: A compressed chunk that unpacks to more bytes is refused; recorders write chunks of about a megabyte.
 MAX_CHUNK_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """The fixed part of a sensor_msgs/Image: stamp in s, size, encoding, bytes per row, where its pixels are."""
+    """The fixed part of a sensor_msgs/Image: stamp in s, size, encoding, bytes per row, offset of the pixels."""
 
     stamp: float
     width: int
@@ -95,7 +95,7 @@ class BagFile:
         return "it has: " + ", ".join(f"{n} ({t}, {c})" for n, (t, c) in sorted(self.topics.items()))
 
     def connections(self, topic: str, kind: str) -> list[Any]:
-        """Connections of ``topic``. Raises DatasetError listing what there is, or for another message type."""
+        """Connections of ``topic``. Raises DatasetError, listing the topics, if it is missing or of another type."""
         if topic not in self.topics:
             raise DatasetError(f"the bag has no topic '{topic}'; {self.describe_topics()}", self.path)
         found = self.topics[topic][0]
@@ -110,7 +110,7 @@ class BagFile:
                 yield connection.topic, stamp, data
 
     def parse(self, data: bytes, topic: str, kind: str, index: int) -> Any:
-        """A message as an object. Raises DatasetError naming its number if it does not parse."""
+        """A message as an object. Raises DatasetError, with the message's number, if it does not parse."""
         try:
             return self._types.deserialize_ros1(data, kind)
         except Exception as error:  # the generated deserialisers raise whatever the bytes lead to
@@ -126,7 +126,7 @@ class BagFile:
 
 
 def _bounded(decompress: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
-    """`rosbags`' decompressor, but for at most MAX_CHUNK_BYTES: a few kilobytes may stand for gigabytes."""
+    """`rosbags`' decompressor with a limit of MAX_CHUNK_BYTES, because a few kilobytes may unpack to gigabytes."""
     from rosbags.rosbag1.reader import bz2_decompress, lz4_decompress
 
     if decompress not in (bz2_decompress, lz4_decompress):
@@ -173,7 +173,7 @@ def parse_image_header(data: bytes | memoryview, path: Path, frame: int) -> Imag
 
 
 def decode_image_message(data: bytes, path: Path, frame: int) -> NDArray[np.uint8]:
-    """A serialised sensor_msgs/Image -> (H, W) grey or (H, W, 3) RGB uint8."""
+    """The image, (H, W) grey or (H, W, 3) RGB uint8, of a serialised sensor_msgs/Image."""
     header = parse_image_header(data, path, frame)
     channels = ENCODINGS[header.encoding]
     pixels = np.frombuffer(data, np.uint8, header.length, header.offset)

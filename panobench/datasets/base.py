@@ -1,4 +1,4 @@
-"""The dataset contract: a ``Dataset`` lists sequences and opens them; a ``FrameSequence`` hands out frames."""
+"""The dataset contract: a ``Dataset`` lists and opens sequences; a ``FrameSequence`` provides their frames."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from panobench.types import Frame, Imu, NovelView, Trajectory
 
 
 class FrameSequence(ABC):
-    """Images of one camera in time order, with whatever truth the dataset has.
+    """Images of one camera in time order, with whatever ground truth the dataset has.
 
-    Opening one checks all that can be checked without decoding images (files exist, times increase,
-    ground truth parses); decoding a frame checks its size. Raises DatasetError naming file and line or frame.
+    Opening one checks everything that needs no image decoded: files exist, times increase, ground truth parses.
+    Decoding a frame checks its size. A DatasetError names file and line or frame.
     """
 
     name: str
@@ -31,28 +31,28 @@ class FrameSequence(ABC):
 
     @abstractmethod
     def image(self, index: int) -> NDArray[np.uint8]:
-        """RGB (H, W, 3) of ``self.camera``'s size. Raises DatasetError for a broken or odd-sized image."""
+        """RGB (H, W, 3) of ``self.camera``'s size. Raises DatasetError for a damaged image or one of another size."""
 
     def frame_name(self, index: int) -> str:
         """The image's name in the dataset, for messages."""
         return f"{index:06d}"
 
     def depth(self, index: int) -> NDArray[np.float32] | None:
-        """Radial depth (H, W), metres, NaN unknown, at the camera's size; None if the dataset has none here."""
+        """Radial depth (H, W) at the camera's size, metres, NaN unknown; None if the frame has none."""
         return None
 
     @property
     def groundtruth(self) -> Trajectory | None:
-        """True camera-to-world poses at some or all of ``times`` (the times match exactly), or None."""
+        """True camera-to-world poses at some or all of ``times``, whose times match exactly; or None."""
         return None
 
     @property
     def imu(self) -> Imu | None:
-        """Inertial samples, and where the camera sits in their axes, or None."""
+        """Inertial samples and the camera's pose in their axes, or None."""
         return None
 
     def novel_views(self) -> list[NovelView]:
-        """Views apart from the trajectory with true poses."""
+        """Views with true poses away from the trajectory."""
         return []
 
     def rendered_by(self, camera: Camera, R_target_source: NDArray[np.float64]) -> FrameSequence | None:
@@ -69,7 +69,7 @@ class FrameSequence(ABC):
         return []
 
     def provenance(self) -> dict[str, Any]:
-        """For run.json: root, files, checksums, generator parameters."""
+        """Where the data come from, for run.json: root, files, checksums, parameters of a generator."""
         return {}
 
     def frames(self) -> Iterator[Frame]:
@@ -82,7 +82,7 @@ Sequence = FrameSequence
 
 
 class Dataset(ABC):
-    """Opens sequences below ``root`` (None for generators)."""
+    """A dataset below ``root``; None for a generator."""
 
     name: ClassVar[str]
 
@@ -91,11 +91,11 @@ class Dataset(ABC):
 
     @abstractmethod
     def sequences(self) -> list[str]:
-        """Names that ``open`` takes. Raises DatasetError when nothing usable is at root."""
+        """Names that ``open`` takes. Raises DatasetError when there is nothing usable at root."""
 
     @abstractmethod
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
-        """Open one sequence (None: the only one or the first), frames resized to ``width`` by an area filter.
+        """Open one sequence (None: the first), with frames resized to ``width`` by an area filter (None: as stored).
 
-        Raises UnknownNameError for a name it does not have, DatasetError for data it cannot use.
+        Raises UnknownNameError for a name that it does not have, DatasetError for data that it cannot use.
         """

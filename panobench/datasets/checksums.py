@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-#: Up to this many bytes a sequence is hashed whole; beyond, its list of names and sizes and its ends.
+#: Larger sequences are identified by their names and sizes and the content of the first and last file.
 WHOLE_LIMIT = 512 << 20
 
 
@@ -21,7 +21,7 @@ def sha256_file(path: Path) -> str:
 
 
 def known_sha256(path: Path) -> str:
-    """As ``sha256_file``, read once as long as size and time of change stay: planning asks for a file many times."""
+    """As ``sha256_file``, but a file is read again only if its size or time of change differs."""
     about = path.stat()
     return _known(path, about.st_size, about.st_mtime_ns, about.st_ino)
 
@@ -37,9 +37,9 @@ def sha256_bytes(data: bytes) -> str:
 
 
 def files_provenance(files: list[Path]) -> dict[str, Any]:
-    """{"files", "bytes", "sha256", "sha256_of"}: one checksum over all files, in the order given.
+    """One checksum over all files, in the order given: {"files", "bytes", "sha256", "sha256_of"}.
 
-    Over 512 MiB it covers every name and size but only the first and last file's content;
+    Over 512 MiB it covers the name and size of every file, and the content of the first and the last only;
     "sha256_of" says which.
     """
     sizes = [path.stat().st_size for path in files]

@@ -11,14 +11,14 @@ from panobench.datasets.images import resize_image
 
 _BACKGROUND, _INK, _FAINT = (24, 26, 30), (235, 235, 235), (150, 155, 165)
 _GAP, _LABEL = 12, 26
-#: Drawn where a camera sees nothing.
+#: Grey level where a camera sees nothing.
 _UNSEEN = (46, 49, 56)
 Picture = tuple[NDArray[np.uint8], str]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A picture (H, W, 3) with a line under it; ``valid`` (H, W) greys out what the camera does not see."""
+    """A picture (H, W, 3) with a label below it. valid: (H, W) False where the camera sees nothing; drawn grey."""
 
     image: NDArray[np.uint8]
     label: str
@@ -28,7 +28,7 @@ class Cell:
 def contact_sheet(
     rows: list[list[Cell]], title: str, cell_height: int = 240, max_width: int = 1800
 ) -> NDArray[np.uint8]:
-    """All cells at one height, row after row, long rows broken, on a dark sheet (H, W, 3) with a title."""
+    """A dark sheet (H, W, 3) with a title and rows of cells, all at one height; long rows are broken."""
     lines = [line for row in rows for line in _broken([_fit(c, cell_height, max_width) for c in row], max_width)]
     width = max(_GAP + sum(picture.shape[1] + _GAP for picture, _ in line) for line in lines)
     width = max(width, 20 + 12 * len(title))
@@ -49,7 +49,7 @@ def contact_sheet(
 
 
 def _broken(row: list[Picture], max_width: int) -> list[list[Picture]]:
-    """A row as lines no wider than ``max_width``."""
+    """A row broken into lines no wider than ``max_width``."""
     lines: list[list[Picture]] = [[]]
     x = _GAP
     for picture in row:

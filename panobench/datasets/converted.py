@@ -1,4 +1,4 @@
-"""Any sequence as another camera at the same place would have taken it."""
+"""Any sequence as another camera at the same position would have recorded it."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from panobench.types import Imu, NovelView, Trajectory
 
 
 class ConvertedSequence(FrameSequence):
-    """Presents ``source`` through ``camera``, whose axes are the source's turned by ``R_target_source``.
+    """``source`` seen by ``camera``, whose axes are the source's rotated by ``R_target_source``.
 
-    Images and depth are reprojected when asked for, the ground truth is that of the new camera, inertial samples stay
-    the body's. ``self.camera`` is ``camera`` with what the source does not cover masked; such pixels are black.
+    Images and depth are reprojected on demand; the ground truth is that of the new camera; inertial samples stay those
+    of the body. ``self.camera`` is ``camera`` with a mask of what the source covers; other pixels are black.
     Raises UnsupportedError when the two cameras see nothing in common.
     """
 
@@ -57,9 +57,9 @@ class ConvertedSequence(FrameSequence):
         return None if imu is None else seen_from(imu, self.reprojector)
 
     def novel_views(self) -> list[NovelView]:
-        """The source's novel views, those of the source's kind of camera reprojected like its frames.
+        """The source's novel views; those of the source's kind of camera are reprojected as its frames are.
 
-        Views of another kind were not taken by this rig and stay as they are; those that the new camera would not see
+        Views of another kind were not taken by this rig and stay as they are. Views that the new camera would not see
         are left out.
         """
         if self._novel is None:
@@ -119,12 +119,12 @@ def enlarged_remark(source: Camera, target: Camera, R_target_source: NDArray[np.
 
 
 def seen_from(imu: Imu, reprojector: Reprojector) -> Imu:
-    """The same samples, with the place of the reprojector's target camera on the body."""
+    """The same samples with the pose of the reprojector's target camera on the body."""
     T_body_cam = np.eye(4) if imu.T_body_cam is None else imu.T_body_cam
     return replace(imu, T_body_cam=reprojector.poses(T_body_cam))
 
 
 def with_valid(camera: Camera, valid: NDArray[np.bool_]) -> Camera:
-    """``camera`` with ``valid`` (H, W) as its mask, or with none where the model's own limits say the same."""
+    """``camera`` with ``valid`` (H, W) as its mask, or with none if the model's own limits are the same."""
     plain = camera.with_mask(None)
     return plain if np.array_equal(valid, plain.valid_mask()) else plain.with_mask(valid)

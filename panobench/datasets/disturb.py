@@ -1,6 +1,6 @@
 """Disturbances of a camera's stream, with a fixed seed: noise, blur, exposure, an occluder, black frames, yaw.
 
-They work on the images of any dataset; the built-in rooms have troubles of their own, rendered (``RoomOptions``).
+They work on the images of any dataset. The built-in rooms can render disturbances of their own (``RoomOptions``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from panobench.cameras.base import Camera
 from panobench.errors import UnknownNameError, UsageError
 
 Image = NDArray[np.uint8]
-#: What a name without a number means, and the values allowed.
+#: Value of a name without a number, and the range allowed.
 BARE = {"noise": 0.03, "blur": 2.0, "rolling": 0.3, "occluder": 0.25, "black": 20.0, "yaw": 6.0}
 _LIMITS = {
     "noise": (0.0, 0.5),
@@ -26,21 +26,20 @@ _LIMITS = {
     "black": (0.0, 1e5),
     "yaw": (-90.0, 90.0),
 }
-#: Frames of one swing of the exposure.
+#: Frames in one period of the exposure.
 PERIOD = 24.0
 
 
 @dataclass(frozen=True)
 class Disturbances:
-    """What is done to the images; 0 leaves them alone.
+    """What is done to the images; 0 does nothing.
 
-    noise:    standard deviation of Gaussian noise, in units of full scale, anew for every frame and channel.
+    noise:    standard deviation of Gaussian noise, independent in every frame and channel; full scale is 1.
     blur:     length in pixels of a horizontal streak, a box filter along the rows.
     rolling:  amplitude of a gain that follows a sine over 24 frames: 0.3 is +-30%.
-    occluder: share of the sphere that a patterned disc hides; it wanders round the camera by 3 degrees a frame.
+    occluder: share of the sphere that a patterned disc hides; it moves round the camera by 3 degrees per frame.
     black:    number of black frames around the middle of the sequence.
-    yaw:      degrees per frame that the camera turns about its vertical (y) axis besides its own motion; for full
-              panoramas.
+    yaw:      additional rotation about the vertical (y) axis, degrees per frame; for full panoramas.
     """
 
     noise: float = 0.0
@@ -58,7 +57,7 @@ class Disturbances:
 
     @classmethod
     def parse(cls, texts: list[str]) -> Disturbances:
-        """["noise=0.03", "black"] -> Disturbances. Raises UnknownNameError or UsageError."""
+        """Disturbances of words such as "noise=0.03" and "black". Raises UnknownNameError or UsageError."""
         values: dict[str, float] = {}
         for text in texts:
             name, equals, number = text.partition("=")
@@ -71,7 +70,7 @@ class Disturbances:
         return cls(**values)
 
     def to_dict(self) -> Mapping[str, float]:
-        """Those that are not 0."""
+        """The disturbances that are not 0."""
         return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name)}
 
 
@@ -79,24 +78,24 @@ class Disturber:
     """Applies disturbances to the images of one camera; frame i always looks the same."""
 
     def __init__(self, chosen: Disturbances, camera: Camera, frames: int, seed: int = 0) -> None:
-        """Raises UsageError for a yaw of a camera that does not see all the way round."""
+        """Raises UsageError for yaw and a camera that does not see 360 degrees."""
         if chosen.yaw and not (camera.kind == "erp" and bool(camera.valid_mask().all())):
             raise UsageError("disturbance yaw: only full panoramas (erp) can be turned")
         self.chosen, self.camera, self.frames, self.seed = chosen, camera, frames, seed
 
     def angle(self, index: int) -> float:
-        """By how much the camera has been turned at this frame, radians."""
+        """Additional rotation of the camera at this frame, radians."""
         return float(np.deg2rad(self.chosen.yaw * index))
 
     def rotation(self, index: int) -> NDArray[np.float64]:
-        """(4, 4) turned camera to the dataset's camera: a rotation about y, to the right for positive yaw."""
+        """(4, 4) pose of the rotated camera in the dataset's camera: about y, to the right for positive yaw."""
         c, s = np.cos(self.angle(index)), np.sin(self.angle(index))
         T = np.eye(4)
         T[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
         return T
 
     def shift(self, index: int) -> float:
-        """Columns by which the panorama moves to the left."""
+        """Columns by which the panorama is shifted to the left."""
         return self.angle(index) / (2 * np.pi) * self.camera.width
 
     def is_black(self, index: int) -> bool:
@@ -127,7 +126,7 @@ class Disturber:
         return np.nan_to_num(self.camera.rays())
 
     def _disc(self, index: int) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """Which pixels (H, W) the occluder hides, and its grey there: a chequered cap of the sphere.
+        """The pixels (H, W) that the occluder, a chequered cap of the sphere, hides, and its grey levels there.
 
         A cap of half-angle a covers (1 - cos a) / 2 of the sphere.
         """
@@ -142,14 +141,14 @@ class Disturber:
 
 
 def roll_columns(x: NDArray[np.float64], columns: float) -> NDArray[np.float64]:
-    """(H, W, C) moved to the left by a fractional number of columns, periodic: a phase shift of the rows' spectra."""
+    """(H, W, C) shifted periodically to the left by a fractional number of columns, in the spectra of the rows."""
     width = x.shape[1]
     phase = np.exp(2j * np.pi * np.fft.rfftfreq(width) * columns)
     return np.asarray(np.fft.irfft(np.fft.rfft(x, axis=1) * phase[None, :, None], n=width, axis=1))
 
 
 def streak(x: NDArray[np.float64], length: float, wrap: bool) -> NDArray[np.float64]:
-    """Box filter of ``length`` pixels along the rows: the mean of eight samples, linear between pixel centres."""
+    """Box filter of ``length`` pixels along the rows: the mean of eight linearly interpolated samples."""
     samples = (np.arange(8) + 0.5) / 8 * length - length / 2
     reach = int(np.ceil(length / 2)) + 1
     padded = np.pad(x, ((0, 0), (reach, reach), (0, 0)), mode="wrap" if wrap else "edge")

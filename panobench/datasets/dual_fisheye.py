@@ -10,7 +10,7 @@
         yaw_pitch_roll_deg: [0, 0, 0]                                        # or R_rig_lens: 3x3
       - {x: 960, y: 0, camera: ..., yaw_pitch_roll_deg: [180, 0, 0]}
 
-The lenses are taken to have one centre: nearer than a few metres the rim shows their distance.
+The lenses are assumed to share one centre: closer than a few metres their distance is visible at the rim.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ class Lens:
 
 @dataclass(frozen=True)
 class DualFisheye:
-    """Both lenses, and the full width of the zone in which they are mixed, degrees."""
+    """Both lenses, and the full width of the zone in which they are blended, degrees."""
 
     lenses: tuple[Lens, ...]
     blend_deg: float
 
 
 def read_dual_fisheye(path: Path) -> DualFisheye:
-    """Parse a dual_fisheye.yaml. Raises CalibrationError naming the file and what is wrong."""
+    """Parse a dual_fisheye.yaml. Raises CalibrationError, which names the file and the mistake."""
     if not path.is_file():
         raise CalibrationError("the calibration of the two lenses is missing; see `panobench list datasets`", path)
     text = read_text(path, "the calibration of the two lenses", error=CalibrationError)
@@ -106,7 +106,7 @@ def _camera_beside(path: Path, name: str) -> Camera:
 
 
 class Stitcher:
-    """Frames (H, W, 3) with two circles -> ERP panoramas. Mixing weights are linear in the angle from each axis."""
+    """Stitches frames (H, W, 3) with two circles to panoramas. Weights are linear in the angle from each axis."""
 
     def __init__(self, rig: DualFisheye, camera: ErpCamera) -> None:
         self.rig = rig
@@ -116,7 +116,7 @@ class Stitcher:
         for lens, reprojector in zip(rig.lenses, self._reprojectors):
             angle = np.degrees(np.arccos(np.clip(camera.rays() @ lens.R_rig_lens[:, 2], -1, 1)))
             ramp = np.clip((90 + half - angle) / (2 * half), 0, 1)
-            # Where only one lens sees, it counts alone, however far from its axis.
+            # Where only one lens sees, only that lens counts, however far from its axis.
             weights.append(np.where(reprojector.valid, np.maximum(ramp, 1e-6), 0.0))
         total = np.sum(weights, axis=0)
         self.valid = total > 0
@@ -133,7 +133,7 @@ class Stitcher:
 
 
 class DualFisheyeSequence(FrameSequence):
-    """A video of two circles as panoramas of ``width`` (None: the lenses' resolution)."""
+    """A video of two circles as panoramas of ``width`` (None: that of the lenses' resolution)."""
 
     def __init__(self, path: Path, rig: DualFisheye, calibration: Path, name: str, width: int | None) -> None:
         self.reader = VideoReader(path)

@@ -31,15 +31,15 @@ from panobench.errors import DatasetError
 from panobench.geometry import make_pose
 from panobench.types import NovelView, Trajectory
 
-#: Bumped when the same options would give other files.
+#: Goes up when the same options give other files.
 CONVERSION_VERSION = 2
-#: Called with the number of frames finished (of all targets together) since the last call.
+#: Called with the number of frames, of all targets, that were finished since the last call.
 Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True)
 class Target:
-    """One sequence to be written: where, and with which camera."""
+    """One sequence to be written: its path, its camera and the camera's rotation."""
 
     path: Path
     choice: CameraChoice
@@ -55,10 +55,10 @@ class ExportOptions:
 
 
 class Exporter:
-    """Converts ``sequence`` to ``targets``. Building it checks everything that can be checked without writing.
+    """Converts ``sequence`` to ``targets``. The constructor checks everything that needs no writing.
 
-    Raises UnsupportedError if a target sees nothing of the source, UsageError if a target's path holds
-    something made with other options.
+    Raises UnsupportedError if a target sees nothing of the source, UsageError if there is something at a target's path
+    that was made with other options.
     """
 
     def __init__(self, sequence: FrameSequence, targets: Iterable[Target], options: ExportOptions) -> None:
@@ -68,7 +68,7 @@ class Exporter:
         self._source = {k: v for k, v in sequence.provenance().items() if k not in ("root", "meta")}
         self._fingerprints = [self._fingerprint(t) for t in self.targets]
         self.finished = [finished_as(t.path, f) for t, f in zip(self.targets, self._fingerprints)]
-        # Maps of large images take seconds to compute: only for what is still to be written.
+        # The maps of large images take seconds to compute, so only unfinished targets get them.
         self._made = {k: self._make_reprojector(k) for k, finished in enumerate(self.finished) if not finished}
 
     def _make_reprojector(self, k: int) -> Reprojector:
@@ -82,11 +82,11 @@ class Exporter:
         return self._made[k]
 
     def camera(self, k: int) -> Camera:
-        """The camera of target ``k`` with the mask of what the source really saw."""
+        """The camera of target ``k`` with a mask of what the source saw."""
         return with_valid(self.targets[k].choice.camera, self.reprojector(k).valid)
 
     def estimate_bytes(self, k: int) -> int:
-        """About how much target ``k`` will take, from one encoded frame."""
+        """Approximate size of target ``k`` in bytes, from one encoded frame."""
         index = self.indices[len(self.indices) // 2]
         reprojector = self.reprojector(k)
         one = len(encode_image(reprojector.image(self.sequence.image(index)), "." + self.options.image_format))
@@ -99,7 +99,7 @@ class Exporter:
         return total
 
     def write(self, progress: Progress = lambda _: None) -> list[Path]:
-        """Write every target that is not finished yet. What was done stays for the next call if this one fails."""
+        """Write every unfinished target. If it fails, the next call continues with what was written."""
         pending = [k for k, finished in enumerate(self.finished) if not finished]
         progress(len(self.indices) * (len(self.targets) - len(pending)))
         with ExitStack() as stack:
@@ -124,7 +124,7 @@ class Exporter:
             running: deque[Future[None]] = deque()
             try:
                 for index in (i for i in self.indices if todo[i]):
-                    # Decoding stays in order in this thread: videos and bags are fast only that way.
+                    # This thread decodes in order, which is the only fast way for videos and bags.
                     image, depth = self.sequence.image(index), self.sequence.depth(index)
                     for k in todo[index]:
                         running.append(pool.submit(self._write_one, writers[k], k, index, image, depth))
@@ -178,7 +178,7 @@ class Exporter:
         writer.finish(groundtruth=truth, imu=imu, novel=novel, meta=meta)
 
     def _fingerprint(self, target: Target) -> dict[str, Any]:
-        """What must be equal for a partial or finished sequence to be the one asked for."""
+        """What must be equal in a partial or finished sequence for it to be the one wanted."""
         mask = self.sequence.camera.mask
         return {
             "conversion": CONVERSION_VERSION,

@@ -35,7 +35,7 @@ from panobench.errors import DatasetError
 from panobench.reading import inside, number_array, parse_json, read_text
 from panobench.types import Imu, NovelView, Trajectory
 
-#: A ground-truth row belongs to the frame whose time differs by at most this.
+#: A ground-truth row belongs to the frame whose time differs by at most this, seconds.
 TIME_TOLERANCE_S = 1e-3
 #: meta.json lists a checksum for every file.
 MAX_META_BYTES = 256 << 20
@@ -50,7 +50,7 @@ def read_imu_csv(path: Path) -> Imu:
 
 
 def groundtruth_at(path: Path, times: np.ndarray, tolerance: float = TIME_TOLERANCE_S) -> Trajectory:
-    """The poses of a TUM file that belong to frames at ``times``. Raises DatasetError if none does."""
+    """The poses in a TUM file that belong to frames at ``times``. Raises DatasetError if there is none."""
     truth = match_to_times(read_tum(path), times, tolerance)
     if not len(truth):
         raise DatasetError(f"no pose lies within {tolerance:g} s of a frame", path)
@@ -75,7 +75,7 @@ def find_sequences(root: Path, depth: int = 3) -> list[str]:
 
 
 class Folder(Dataset):
-    """Sequences in panobench's format below ``root``, or one as ``root`` itself."""
+    """Sequences in panobench's format below ``root``; or ``root`` is one."""
 
     name = "folder"
 
@@ -137,7 +137,7 @@ def _read(folder: Path, name: str) -> ImageSource:
 
 
 def _read_imu(path: Path, calibration: Calibration, meta: dict[str, Any]) -> Imu:
-    """imu.csv on the camera's clock; where the camera sits on the body, meta.json says, or else camera.yaml."""
+    """imu.csv on the camera's clock. meta.json, or else camera.yaml, has the camera's pose on the body."""
     imu = read_imu_csv(path)
     pose = _pose_note(meta, path.with_name("meta.json"))
     return replace(
@@ -166,13 +166,13 @@ def _read_frames(path: Path, folder: Path) -> tuple[np.ndarray, list[Path]]:
 
 
 def _image_inside(folder: Path, name: str, path: Path, line: int) -> Path:
-    """The image that a row names, which must lie in the sequence's folder."""
+    """The image that a row names; it must be inside the sequence's folder."""
     file = inside(folder, name)
     if file is None:
         raise DatasetError(f"'{name[:200]}' does not lie inside the sequence", path, line=line)
     try:
         found = file.is_file()
-    except OSError:  # a part of it is longer than any file's name
+    except OSError:  # a part of the path is longer than any file name
         found = False
     if not found:
         raise DatasetError(f"image '{name}' is missing", path, line=line)
@@ -180,7 +180,7 @@ def _image_inside(folder: Path, name: str, path: Path, line: int) -> Path:
 
 
 def _read_novel(folder: Path, camera: Camera) -> list[NovelView]:
-    """The views of novel.csv, taken with the sequence's camera; none without that file."""
+    """The views of novel.csv, which the sequence's camera took; empty without that file."""
     path = folder / "novel.csv"
     if not path.is_file():
         return []
@@ -200,7 +200,7 @@ def _read_novel(folder: Path, camera: Camera) -> list[NovelView]:
 
 
 def _read_meta(path: Path) -> dict[str, Any]:
-    """What meta.json says about the sequence's origin (without its list of checksums); {} if there is none."""
+    """What meta.json says about the sequence's origin, without the checksums; {} without that file."""
     if not path.is_file():
         return {}
     meta = parse_json(read_text(path, "the file", MAX_META_BYTES, DatasetError), path, DatasetError)

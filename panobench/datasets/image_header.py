@@ -1,4 +1,4 @@
-"""Width, height and completeness of an image file from its bytes, before anything is decoded.
+"""Width, height and completeness of an image file, from its bytes, before it is decoded.
 
 Sources: PNG specification (W3C 2003), sections 5 and 11; JPEG, ITU-T T.81 annex B; WebP container
 (RFC 9649), section 2; Windows bitmap headers.
@@ -11,12 +11,12 @@ import struct
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 #: JPEG start-of-frame markers (C4, C8 and CC in that range are other segments).
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-#: Bytes of a file in which its size is looked for first; cameras put large EXIF blocks before it.
+#: Bytes that are read first to find the size; cameras write large EXIF blocks before it.
 HEAD_BYTES = 1 << 16
 
 
 class HeaderError(ValueError):
-    """The bytes are not an image this package reads, or they stop too early."""
+    """The bytes are not an image that this package reads, or they end too early."""
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:
@@ -45,7 +45,7 @@ def image_size(data: bytes) -> tuple[int, int] | None:
 
 
 def check_complete(data: bytes) -> None:
-    """Raise HeaderError if a PNG, JPEG or WebP file stops before its end (decoders may fill in grey instead)."""
+    """Raise HeaderError for a truncated PNG, JPEG or WebP file, of which decoders may fill the rest with grey."""
     if data[:8] == _PNG_MAGIC:
         at = 8
         while at + 12 <= len(data):

@@ -1,4 +1,4 @@
-"""Where a dataset's files are: `--root`, else ``$PANOBENCH_DATA/NAME``; and what to say when they are not there."""
+"""Where a dataset's files are: `--root`, else ``$PANOBENCH_DATA/NAME``; and the message when they are missing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DATA_VARIABLE = "PANOBENCH_DATA"
 
 
 def describe(spec: DatasetSpec) -> str:
-    """What the dataset is, who publishes it and which layout is expected; a few lines of plain text."""
+    """What the dataset is, who publishes it, and the layout that is expected, as a few lines of text."""
     lines = [f"{spec.name}: {spec.summary}"]
     if spec.publisher:
         lines.append(f"published by: {spec.publisher}")
@@ -29,18 +29,18 @@ def _one_line(spec: DatasetSpec) -> str:
 
 
 def _look(place: Path | str) -> tuple[Path, bool]:
-    """The path with ~ expanded, and whether something is there; names that cannot be are not."""
+    """The path with ~ expanded, and whether it exists; an impossible name does not."""
     try:
         path = Path(place).expanduser()
         return path, path.exists()
-    except (OSError, RuntimeError, ValueError):  # too long, the home of nobody, a NUL
+    except (OSError, RuntimeError, ValueError):  # a name that is too long, an unknown user's home, a NUL
         return Path(place), False
 
 
 def locate(spec: DatasetSpec, root: Path | str | None = None) -> Path | None:
-    """The dataset's file or folder; None for a generator that was given none.
+    """The dataset's file or folder; None for a generator without one.
 
-    Raises DatasetError that describes the dataset when nothing is there.
+    Raises DatasetError, which describes the dataset, if nothing is there.
     """
     if root is not None:
         path, there = _look(root)
@@ -61,7 +61,7 @@ def locate(spec: DatasetSpec, root: Path | str | None = None) -> Path | None:
 
 
 def choose_sequence(kind: str, wanted: str | None, known: Iterable[str]) -> str:
-    """``wanted`` if known, else (for None) the first. Raises UnknownNameError with the nearest name."""
+    """``wanted``, or for None the first. Raises UnknownNameError, with the nearest name, for an unknown one."""
     names = list(known)
     if wanted is None and names:
         return names[0]

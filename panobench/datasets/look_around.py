@@ -1,4 +1,4 @@
-"""A self-contained HTML page in which one looks around in panoramas: WebGL, inline images, no network."""
+"""A self-contained HTML page for looking around in panoramas: WebGL, inline images, no network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from panobench.writing import write_whole
 
 
 def look_around_page(title: str, panoramas: list[tuple[str, NDArray[np.uint8]]], *, quality: int = 88) -> str:
-    """The page's HTML for (label, full-sphere ERP image) pairs; with several, a slider chooses."""
+    """The page's HTML for pairs of label and full panorama (H, W, 3); with several, a slider chooses one."""
     frames = [
         {"label": label, "src": "data:image/jpeg;base64," + base64.b64encode(_jpeg(image, quality)).decode("ascii")}
         for label, image in panoramas

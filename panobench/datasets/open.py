@@ -1,4 +1,4 @@
-"""The one entry to datasets for the runner and the commands: by name, root and sequence."""
+"""How the runner and the commands open datasets: by name, root and sequence."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ MIN_WIDTH, MAX_WIDTH = 16, 16384
 def open_dataset(name: str, root: Path | str | None = None) -> Dataset:
     """The dataset adapter ``name`` on ``root`` (None: ``$PANOBENCH_DATA/NAME``).
 
-    Raises UnknownNameError for a name nobody registered, UnavailableError if a package is missing,
-    DatasetError if the data are not there.
+    Raises UnknownNameError for a name that is not registered, UnavailableError if a package is missing, DatasetError if
+    the data are missing.
     """
     spec = registry().get(DatasetSpec, name)
     missing = spec.unavailable()

@@ -1,8 +1,8 @@
 """PALVIO: panoramic annular images, IMU and motion capture of LF-VIO, as ROS 1 bags or an extracted folder.
 
-The ground truth of the bags is the body's pose; what is handed out is the camera's, body pose times
-``body_T_cam``, interpolated to the image times. IMU stamps are moved onto the camera's clock by the time
-offset; the motion capture's stamps are taken as they are (its offset is not published).
+The ground truth of the bags is the body's pose. Sequences have the camera's, the body pose times ``body_T_cam``,
+interpolated to the image times. IMU stamps are moved onto the camera's clock by the time offset; those of the motion
+capture are used as they are, because its offset is not published.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from panobench.types import Imu, Trajectory
 IMAGE = "sensor_msgs/msg/Image"
 IMU = "sensor_msgs/msg/Imu"
 ODOMETRY = "nav_msgs/msg/Odometry"
-#: Poses are not interpolated across a longer hole in the motion capture.
+#: Poses are not interpolated across a longer gap in the motion capture, seconds.
 MAX_GAP_S = 0.1
 
 
@@ -42,13 +42,13 @@ def _stamp(message: Any) -> float:
 
 
 def camera_truth(body: Trajectory, times: NDArray[np.float64], calibration: PalvioCalibration) -> Trajectory | None:
-    """Body poses -> camera poses at those of ``times`` that the motion capture covers; None if none."""
+    """Camera poses at those of ``times`` that the motion capture (body poses) covers; None if it covers none."""
     found = interpolate_poses(Trajectory(body.times, body.T_wc @ calibration.body_T_cam), times, max_gap=MAX_GAP_S)
     return found if len(found) else None
 
 
 class PalvioBagSequence(FrameSequence):
-    """One bag. Opening reads it once (stamps, IMU, motion capture); images are read on demand."""
+    """One bag. Opening reads stamps, IMU and motion capture in one pass; images are read on demand."""
 
     def __init__(self, path: Path, name: str, calibration: PalvioCalibration, width: int | None) -> None:
         self.path, self.name, self.dataset, self.calibration = path, name, "palvio", calibration
@@ -91,7 +91,7 @@ class PalvioBagSequence(FrameSequence):
 
 @dataclass(frozen=True)
 class _Contents:
-    """What one pass over a bag finds; ``where``: (receive time, how-many-th message at that time) of each image."""
+    """What one pass over a bag finds. where: each image's receive time and rank among messages of that time."""
 
     where: list[tuple[int, int]]
     times: NDArray[np.float64]
@@ -102,7 +102,7 @@ class _Contents:
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What of the calibration the pass over a bag depends on."""
+    """The part of the calibration on which the pass over a bag depends."""
 
     image_topic: str
     imu_topic: str
@@ -118,9 +118,9 @@ class _Wanted:
 
 @lru_cache(maxsize=2)
 def _contents(path: Path, version: tuple[int, int], wanted: _Wanted) -> _Contents:
-    """One pass over the bag: decompressing takes seconds, and the same bag is often opened at several widths.
+    """One pass over the bag, cached: it takes seconds, and a bag is often opened at several widths.
 
-    ``version`` (size, time of modification) makes a changed file another one.
+    version: size and time of modification, so that a changed file is read again.
     """
     bag = BagFile(path)
     image_topic = wanted.image_topic
@@ -154,7 +154,7 @@ def _contents(path: Path, version: tuple[int, int], wanted: _Wanted) -> _Content
 
 
 def _checked_stamp(data: bytes, size: tuple[int, int], path: Path, frame: int) -> float:
-    """An image's stamp in seconds, once its size is known to be the calibration's."""
+    """An image's stamp in seconds. Raises DatasetError if its size is not the calibration's."""
     header = parse_image_header(data, path, frame)
     if (header.width, header.height) != size:
         raise DatasetError(
@@ -202,7 +202,7 @@ def _notes(calibration: PalvioCalibration) -> dict[str, Any]:
 
 
 def _increasing(times: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which entries are later than all before them; repeated and late messages happen in recordings."""
+    """Whether entries are later than all before them; recordings have repeated and late messages."""
     keep = np.ones(len(times), dtype=bool)
     if len(times):
         keep[1:] = times[1:] > np.maximum.accumulate(times)[:-1]

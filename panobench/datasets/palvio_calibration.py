@@ -1,7 +1,7 @@
-"""PALVIO's calibration: the annular camera with its mask, where it sits on the body, topics and time offset.
+"""PALVIO's calibration: the annular camera with its mask, its pose on the body, topics and time offset.
 
-The numbers are those of the built-in ``palvio_up``, the camera that the published evaluations use; the topics are facts
-of the same public LF-VIO repository (Wang et al., "LF-VIO", IROS 2022). A ``palvio.yaml`` beside the data replaces any.
+The numbers are those of the built-in ``palvio_up``, the camera that the published evaluations use. The topics are from
+the same public LF-VIO repository (Wang et al., "LF-VIO", IROS 2022). A ``palvio.yaml`` beside the data overrides them.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def published_calibration() -> PalvioCalibration:
 
 
 def find_calibration(folder: Path) -> PalvioCalibration:
-    """The published calibration with what ``folder/palvio.yaml``, if there is one, says differently.
+    """The published calibration with the changes of ``folder/palvio.yaml``, if there is one.
 
     Keys, all optional: ``camera`` (a calibration file beside it, with its mask, extrinsics and time offset),
     ``body_T_cam`` (4x4), ``time_offset_s``, ``gravity`` (m/s^2), ``image_topic``, ``imu_topic``, ``groundtruth_topic``.

@@ -1,7 +1,7 @@
-"""Making a bag with PALVIO's topics, types and calibration from any panoramic sequence with ground truth.
+"""Makes a bag with PALVIO's topics, types and calibration from any panoramic sequence with ground truth.
 
-The published bags cannot be shipped; this one lets users try the pipeline, and tests the reader.
-Pose splines give body poses and ideal IMU samples: specific force R_bw (a_w - g) and the angular rate in body axes.
+The published bags cannot be shipped. This one lets users try the pipeline, and tests use it. Splines through the poses
+give body poses and ideal IMU samples: specific force R_bw (a_w - g), and angular rate in body axes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CAMERA_FILE = "palvio_camera.yaml"
 
 @dataclass(frozen=True)
 class BagOptions:
-    """frames: at most so many images (None: all). width: of the images (None: 1280). Noise is white, per sample."""
+    """frames: number of images (None: all). width: of the images (None: 1280). Noise: white, deviation per sample."""
 
     frames: int | None = None
     width: int | None = None
@@ -44,7 +44,7 @@ class BagOptions:
 
 
 class BodyMotion:
-    """Smooth body motion through given poses (N, 4, 4) at times (N,): cubic splines of position and rotation."""
+    """Smooth body motion through poses (N, 4, 4) at times (N,): cubic splines of position and rotation."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         from scipy.interpolate import CubicSpline
@@ -55,7 +55,7 @@ class BodyMotion:
         self._rotation = RotationSpline(trajectory.times, Rotation.from_matrix(trajectory.T_wc[:, :3, :3]))
 
     def poses(self, times: Array) -> Array:
-        """(M, 4, 4) world-from-body."""
+        """Body-to-world poses (M, 4, 4)."""
         return make_pose(self._rotation(times).as_matrix(), self._position(times))
 
     def imu(self, times: Array, up: Array, gravity: float = STANDARD_GRAVITY) -> tuple[Array, Array]:
@@ -66,20 +66,20 @@ class BodyMotion:
 
 
 def sample_times(begin: float, end: float, rate_hz: float) -> Array:
-    """Times at a rate from ``begin``, the last one ``end`` itself so that every image lies between two."""
+    """Times at a rate from ``begin`` on; the last one is ``end``, so that every image lies between two."""
     n = int(np.ceil((end - begin) * rate_hz - 1e-6)) + 1
     return np.minimum(begin + np.arange(n) / rate_hz, end)
 
 
 def upward_axis(T_wc: Array) -> Array:
-    """The world axis (signed unit vector) nearest to the mean up direction, -y, of upright cameras."""
+    """The world axis, a signed unit vector, that is nearest to the cameras' mean up direction, -y."""
     mean = -T_wc[:, :3, 1].mean(axis=0)
     axis = int(np.argmax(np.abs(mean)))
     return np.asarray(np.sign(mean[axis]) * np.eye(3)[axis])
 
 
 def scaled_calibration(width: int | None) -> PalvioCalibration:
-    """PALVIO's calibration for images of another width (None: its own)."""
+    """PALVIO's calibration for images of ``width`` (None: its own)."""
     full = published_calibration()
     return full if width is None else replace(full, camera=full.camera.scaled(width))
 
@@ -92,8 +92,8 @@ def write_palvio_bag(
 ) -> Path:
     """Write ``path`` (a .bag) from a sequence with ground truth at every frame; returns ``path``.
 
-    With another width than 1280 a palvio.yaml with the scaled calibration is written beside it. The
-    bag appears complete or not at all. Raises UsageError if it exists or the sequence has too little truth.
+    For other widths than 1280, a palvio.yaml with the scaled calibration is written beside it. The bag appears complete
+    or not at all. Raises UsageError if it exists or if the sequence has too little ground truth.
     """
     options = options or BagOptions()
     if path.suffix != ".bag":

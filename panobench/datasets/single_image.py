@@ -1,4 +1,4 @@
-"""An image file, or whatever a path holds, as a sequence: for `panobench view`."""
+"""An image file, or any dataset at a path, as a sequence, for `panobench view`."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def _guess_video(path: Path) -> str:
 
 
 def guess_dataset(path: Path) -> str:
-    """Which dataset adapter reads ``path``. Raises DatasetError if none seems to."""
+    """The name of the dataset whose adapter reads ``path``. Raises DatasetError if there is none."""
     if path.is_file():
         if path.suffix.lower() in VIDEO_SUFFIXES:
             return _guess_video(path)
@@ -140,7 +140,7 @@ def guess_dataset(path: Path) -> str:
 def open_anything(
     path: Path, camera: str | None = None, dataset: str | None = None, sequence: str | None = None
 ) -> FrameSequence:
-    """An image (seen by ``camera``) or a sequence (whose dataset is guessed unless named)."""
+    """An image seen by ``camera``, or a sequence, whose dataset is guessed unless it is named."""
     if not path.exists():
         raise DatasetError("no such file or folder", path)
     if dataset is None and path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES:

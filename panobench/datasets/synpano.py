@@ -2,7 +2,7 @@
 
 Layout of a scene: ``images/*.{png,jpg}``, ``groundtruth.txt`` with rows
 ``frame_id image_name x y z qx qy qz qw`` (some releases start with a header line), optional
-``depth/<stem>.{npy,png}`` and, for judging maps, ``novel/`` with ``novel_groundtruth.txt``.
+``depth/<stem>.{npy,png}`` and, for evaluating maps, ``novel/`` with ``novel_groundtruth.txt``.
 Blender's camera looks along -z with y up: R_cv = R_blender diag(1, -1, -1). Time = frame_id / 15 s.
 """
 
@@ -68,7 +68,7 @@ def read_pose_table(path: Path) -> PoseTable:
 
 
 def _is_header(fields: list[str]) -> bool:
-    """A header line has words where the first pose would have its numbers."""
+    """Whether it is a header line, which has words in place of a pose's numbers."""
     for text in fields[2:]:
         try:
             float(text)
@@ -79,7 +79,7 @@ def _is_header(fields: list[str]) -> bool:
 
 
 def raw_to_camera_axes(T_wc: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Blender camera axes -> x right, y down, z forward, on the right of (..., 4, 4)."""
+    """Poses (..., 4, 4) with Blender's camera axes changed to x right, y down, z forward."""
     out = T_wc.copy()
     out[..., :3, :3] = T_wc[..., :3, :3] @ CV_FROM_BLENDER
     return out
@@ -96,7 +96,7 @@ def panorama_camera(size: tuple[int, int], path: Path) -> Camera:
 
 
 def named_images(folder: Path, table: PoseTable, table_path: Path) -> list[Path]:
-    """The image file of every row; a row whose image is missing raises DatasetError with the row's line."""
+    """The image file of every row. Raises DatasetError, with the row's line, if one is missing."""
     present = {path.name: path for path in list_images(folder)}
     found = []
     for name, line in zip(table.names, table.lines):
@@ -107,7 +107,7 @@ def named_images(folder: Path, table: PoseTable, table_path: Path) -> list[Path]
 
 
 def depth_files(folder: Path, images: list[Path]) -> dict[int, Path]:
-    """Frame index -> ``folder/<stem>.npy`` or ``.png``, where there is one."""
+    """The depth files, ``folder/<stem>.npy`` or ``.png``, by frame index."""
     if not folder.is_dir():
         return {}
     present = {p.name: p for p in folder.iterdir() if p.suffix.lower() in (".npy", ".png")}
@@ -125,7 +125,7 @@ def is_scene(folder: Path) -> bool:
 
 
 def scene_names(root: Path, dataset: str) -> list[str]:
-    """Scenes at ``root``: itself if it is one, else its sub-folders that are. Raises DatasetError if none."""
+    """The scenes at ``root``: itself, or its sub-folders. Raises DatasetError if there is none."""
     if not root.is_dir():
         raise DatasetError(f"{dataset} is a folder of scenes, this is a file", root)
     if is_scene(root):
@@ -137,7 +137,7 @@ def scene_names(root: Path, dataset: str) -> list[str]:
 
 
 class SynPano(Dataset):
-    """Scenes in SynPano's layout below ``root``, or one scene as ``root`` itself."""
+    """Scenes in SynPano's layout below ``root``; or ``root`` is one."""
 
     name = "synpano"
     rate_hz = RATE_HZ
@@ -154,7 +154,7 @@ class SynPano(Dataset):
         return ImageSequence(self._read(folder, name), width)
 
     def axes(self, T_wc: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Stored poses -> camera-to-world in the package's camera axes."""
+        """Camera-to-world poses in the package's camera axes of stored poses (N, 4, 4)."""
         return raw_to_camera_axes(T_wc)
 
     def _read(self, folder: Path, name: str) -> ImageSource:

@@ -1,4 +1,4 @@
-"""Bringing poses to image times: nearest match and interpolation on SE(3)."""
+"""Poses at image times: nearest match, and interpolation on SE(3)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from panobench.geometry import make_pose, so3_exp, so3_log
 from panobench.types import Trajectory
 
 Array = NDArray[np.float64]
-#: Stamps since 1970 in float64 are good to a quarter of a microsecond.
+#: The resolution of float64 for seconds since 1970 is a quarter of a microsecond.
 _ROUNDING_S = 1e-6
 
 
@@ -22,9 +22,9 @@ def nearest(times: Array, wanted: Array) -> NDArray[np.intp]:
 
 
 def match_to_times(trajectory: Trajectory, times: Array, tolerance: float) -> Trajectory:
-    """The poses within ``tolerance`` seconds of ``times``, stamped with those times exactly. May be empty.
+    """The poses within ``tolerance`` seconds of ``times``, with exactly those times; may be empty.
 
-    No pose serves two times.
+    A pose is used for one time only.
     """
     index = nearest(trajectory.times, times)
     distance = np.abs(trajectory.times[index] - times)
@@ -38,9 +38,9 @@ def match_to_times(trajectory: Trajectory, times: Array, tolerance: float) -> Tr
 
 
 def interpolate_poses(trajectory: Trajectory, times: Array, *, max_gap: float = np.inf) -> Trajectory:
-    """Poses at those of ``times`` that lie inside the trajectory's span and in no gap over ``max_gap`` seconds.
+    """Poses at those of ``times`` that are within the trajectory and in no gap longer than ``max_gap`` seconds.
 
-    Position is linear, rotation R0 exp(s log(R0^T R1)) (the geodesic of SO(3)). No extrapolation.
+    Positions are interpolated linearly, rotations by R0 exp(s log(R0^T R1)), the geodesic of SO(3).
     """
     t = trajectory.times
     if len(t) < 2:

@@ -28,12 +28,12 @@ from panobench.types import Imu, Trajectory
 
 _CALIBRATIONS = ("dso/camchain.yaml", "camchain.yaml", "mav0/camchain.yaml", "camera.yaml")
 _TRUTHS = ("mav0/mocap0/data.csv", "mav0/state_groundtruth_estimate0/data.csv")
-#: Poses are not interpolated across a longer hole in the motion capture.
+#: Poses are not interpolated across a longer gap in the motion capture, seconds.
 MAX_GAP_S = 0.1
 
 
 class TumVi(Dataset):
-    """Sequences below ``root``, or ``root`` itself is one."""
+    """Sequences below ``root``; or ``root`` is one."""
 
     name = "tum-vi"
 

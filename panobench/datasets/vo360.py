@@ -17,12 +17,12 @@ _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def left_to_right_handed(T_wc: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses (..., 4, 4) with x right, y up, z forward -> x right, y down, z forward, both for world and camera."""
+    """Poses (..., 4, 4) with y down instead of y up, for world and camera; x right and z forward stay."""
     return np.asarray(_MIRROR @ T_wc @ _MIRROR)
 
 
 class Vo360(SynPano):
-    """As SynPano, mirrored."""
+    """Sequences in SynPano's layout with mirrored axes."""
 
     name = "360vo"
 

@@ -1,4 +1,4 @@
-"""Writing the panobench sequence format, whole or not at all, and resumable.
+"""Writes the panobench sequence format: complete or not at all, and resumable.
 
 ``camera.yaml``, ``images/``, ``frames.csv`` (time, file), optional ``groundtruth.tum``, ``imu.csv``,
 ``depth/``, ``mask.png``, ``novel.csv`` with ``novel/``, and ``meta.json``. Everything is written under
@@ -58,7 +58,7 @@ def imu_text(imu: Imu) -> str:
 
 
 def camera_yaml(camera: Camera) -> str:
-    """The content of camera.yaml; the mask is named, its pixels go to mask.png."""
+    """The content of camera.yaml, which names the mask; its pixels are in mask.png."""
     import yaml
 
     mask = {} if camera.mask is None else {"mask": "mask.png"}
@@ -68,9 +68,9 @@ def camera_yaml(camera: Camera) -> str:
 class SequenceWriter:
     """Writes one sequence to ``path`` frame by frame; ``add`` may be called from several threads.
 
-    ``fingerprint`` says what is being written (any JSON values): a partial folder with the same one
-    is continued, with another one refused unless ``restart``. Raises UsageError if ``path`` exists, or if another
-    process is writing it. Call ``close`` if ``finish`` is never reached.
+    fingerprint: JSON values that say what is written. A partial folder with the same fingerprint is continued; with
+    another one it is refused unless ``restart``. Raises UsageError if ``path`` exists or if another process is writing
+    it. Call ``close`` if ``finish`` is not reached.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class SequenceWriter:
             raise UsageError(f"{self.path} exists already; remove it or choose another --out")
 
     def _hold(self) -> None:
-        """Take the partial folder for this writer; the system frees it when the process ends."""
+        """Lock the partial folder for this writer; the system releases the lock when the process ends."""
         self.partial.mkdir(parents=True, exist_ok=True)
         handle = os.open(self.partial / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
@@ -123,7 +123,7 @@ class SequenceWriter:
         self._handle = handle
 
     def close(self) -> None:
-        """Let go of the sequence; an unfinished one stays, to be continued."""
+        """Release the sequence; an unfinished one stays and can be continued."""
         if self._handle is None:
             return
         (self.partial / LOCK).unlink(missing_ok=True)
@@ -173,7 +173,7 @@ class SequenceWriter:
 
     @property
     def done(self) -> frozenset[int]:
-        """Indices of the frames that are written and whose checksums were right."""
+        """Indices of the frames that were written and whose checksums match."""
         return frozenset(self._records)
 
     def add(
@@ -208,7 +208,7 @@ class SequenceWriter:
         novel: Iterable[NovelView] = (),
         meta: dict[str, Any] | None = None,
     ) -> Path:
-        """Write what describes the frames and rename the folder into place. Raises DatasetError without a frame.
+        """Write the files that describe the frames and rename the folder. Raises DatasetError without a frame.
 
         ``novel`` views must be images of this sequence's camera.
         """
@@ -263,7 +263,7 @@ class SequenceWriter:
 
 
 def finished_as(path: Path, fingerprint: dict[str, Any]) -> bool:
-    """Whether ``path`` is a finished sequence written with this fingerprint, its files unchanged since.
+    """Whether ``path`` is a finished sequence of this fingerprint whose files are unchanged.
 
     Raises UsageError if something else is there, DatasetError if one of its files was changed or lost.
     """
@@ -281,7 +281,7 @@ def finished_as(path: Path, fingerprint: dict[str, Any]) -> bool:
 
 
 def _plain(values: dict[str, Any]) -> Any:
-    """As JSON gives it back: tuples become lists, numpy numbers are refused."""
+    """The value as JSON returns it: tuples become lists, numpy numbers are refused."""
     return json.loads(json.dumps(values))
 
 
