@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
+from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.exposure import ExposureMatcher
 from panobench.methods.panogs.factors import FactorGraph
@@ -153,6 +154,8 @@ class PanogsMethod(OnlineMethod):
         if is_keyframe:
             self.places.add(self.places.thumbnail(self.tracker.pyramid[-1]))
             self.lag.sweep_wanted = True
+            explained = agreement(self.tracker.pyramid, tracked.render, self.tracker.weights)
+            self.numbers[frame.index]["agreement"] = explained
 
     def _is_blank(self, image: NDArray[np.uint8]) -> bool:
         """Nothing to align or to map: a closed shutter, a saturated sensor, fog."""
