@@ -31,7 +31,10 @@ CHECKER = "sparse"
 
 
 def chosen_check(request: RunRequest, *, groundtruth: bool, batch: bool = False) -> str | None:
-    """The check that a run gets: a method's name, ``BACKWARDS`` or None. Truth, where there is any, is a better check."""
+    """The check that a run gets: a method's name, ``BACKWARDS`` or None.
+
+    Ground truth, where there is any, is a better check.
+    """
     if request.check == NONE or (request.check == AUTO and (groundtruth or batch)):
         return None
     chosen = CHECKER if request.check == AUTO else request.check

@@ -17,6 +17,7 @@ from panobench.bench.request import RunRequest, run_options, value_text
 from panobench.bench.runfolder import RUN_JSON, SCHEMA, read_run_json, write_json
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.types import RunStatus
+from panobench.verdict.base import Verdict
 from panobench.writing import writing
 
 #: Metrics that others rely on: there in every run, null where not measured.
@@ -159,6 +160,28 @@ class MapRecord(JsonRecord):
 
 
 @dataclass
+class VerdictRecord(JsonRecord):
+    """Whether the run is right, from evidence that needs no ground truth; see ``verdict.base``.
+
+    word: "trusted", "doubtful" or "failed". confidence: 0..1. evidence: name, trust and text of each piece. check: the
+    second opinion that was asked for, a method's name or "backwards"; None without one.
+    """
+
+    word: str = ""
+    confidence: float = 0.0
+    reasons: list[str] = field(default_factory=list)
+    advice: list[str] = field(default_factory=list)
+    evidence: list[dict[str, Any]] = field(default_factory=list)
+    check: str | None = optional()
+
+    @classmethod
+    def of(cls, verdict: Verdict, check: str | None = None) -> VerdictRecord:
+        """Of a verdict."""
+        evidence = [{"name": e.name, "trust": e.trust, "text": e.text} for e in verdict.evidence]
+        return cls(verdict.word.value, verdict.confidence, list(verdict.reasons), list(verdict.advice), evidence, check)
+
+
+@dataclass
 class CellRecord(JsonRecord):
     """The cell of a suite that a run belongs to. key: hash of all that its result depends on; identity: of the cell."""
 
@@ -196,8 +219,14 @@ class RunRecord(JsonRecord):
     """Everything in run.json.
 
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
+<<<<<<< HEAD
     metric: the method says that its scale is metres. notes: metric -> why it is None or odd. keyframes: frame indices.
     groundtruth: whether there was any. remarks: what the dataset says about its data. extra: what the method reports.
+=======
+    metric: the method says that its scale is metres. notes: metric -> why it is None. keyframes: indices of frames.
+    groundtruth: whether there was any. verdict: None for runs stored before there were verdicts.
+    remarks: what the dataset says about its data. extra: what the method reports.
+>>>>>>> 58b2011 (Every run has a verdict; --check asks a second method, --strict exits 3, reports mark what is doubtful)
     isolation: what the process that watched the run measured.
     """
 
@@ -220,6 +249,7 @@ class RunRecord(JsonRecord):
     extra: dict[str, Any] = field(default_factory=dict)
     provenance: ProvenanceRecord = field(default_factory=ProvenanceRecord)
     map: MapRecord | None = None
+    verdict: VerdictRecord | None = optional()
     cell: CellRecord | None = optional()
     isolation: dict[str, Any] | None = optional()
     imported: ImportedRecord | None = optional()

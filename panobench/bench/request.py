@@ -75,7 +75,8 @@ class RunRequest:
 
     camera: "KIND" or "KIND:VARIANT" as `--camera` takes it; fov: degrees, as `--fov` takes it.
     every: use each n-th frame. holdout: each n-th frame used is tracked, never mapped (0: none).
-    depth: "NAME" or "NAME:ARGUMENT" of a depth estimator. settings: what `--set` changes in the method's options.
+    depth: "NAME" or "NAME:ARGUMENT" of a depth estimator. check: see ``bench.checking``.
+    settings: what `--set` changes in the method's options.
     """
 
     method: str = run_option(
@@ -153,6 +154,13 @@ class RunRequest:
         label="holdout {}",
         minimum=0,
         import_help="The method did not map each n-th frame; 0: none.",
+    )
+    check: str = run_option(
+        "auto",
+        "Second opinion for the verdict: a METHOD, backwards, none, or auto (where there is no ground truth).",
+        changes_input=False,
+        label=None,
+        separates=False,
     )
     seed: int = run_option(
         0,

@@ -14,11 +14,16 @@ from typing import Any, TextIO
 import numpy as np
 
 from panobench.bench.blas import one_blas_thread
+<<<<<<< HEAD
+=======
+from panobench.bench.checking import check_trajectory, chosen_check
+from panobench.bench.document import run_record, timing_record, write_run
+>>>>>>> 58b2011 (Every run has a verdict; --check asks a second method, --strict exits 3, reports mark what is doubtful)
 from panobench.bench.evaluate import Scores, evaluate
 from panobench.bench.memory import Meter
 from panobench.bench.observer import Observer
 from panobench.bench.provenance import provenance
-from panobench.bench.record import CellRecord, RunRecord
+from panobench.bench.record import CellRecord, RunRecord, VerdictRecord
 from panobench.bench.request import RunRequest
 from panobench.bench.results import run_record, timing_record, write_run
 from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
@@ -29,6 +34,7 @@ from panobench.methods.base import BatchMethod, MethodContext
 from panobench.metrics.base import MetricInput
 from panobench.plugins import PluginWarning, registry
 from panobench.types import Frame, RunStatus
+from panobench.verdict.assess import assess
 
 
 class RunLog:
@@ -113,6 +119,8 @@ def _run(
     timing.peak_rss_bytes, timing.cpu_s = meter.peak_rss_bytes, cpu_s
     record = run_record(request, setup, tracked, holdout, scores, timing, origin)
     record.cell = cell
+    record.verdict = _verdict(request, opened, tracked, scores, folder, log, observer)
+    log(f"verdict: {record.verdict.word} ({record.verdict.confidence:.2f})")
     for remark in record.remarks:
         if remark not in said:
             log(f"note: {remark}")
@@ -176,6 +184,30 @@ def _score(
         renders=renders if whole else None,
     )
     return evaluate(data, tracked.status, tracked.message, log)
+
+
+def _verdict(
+    request: RunRequest,
+    opened: Opened,
+    tracked: Tracked,
+    scores: Scores,
+    folder: Path,
+    log: RunLog,
+    observer: Observer,
+) -> VerdictRecord:
+    """What can be said about the run without ground truth, with a second opinion where one is asked for."""
+    estimate = tracked.estimate
+    assert estimate is not None
+    truth = opened.sequence.groundtruth is not None
+    check = chosen_check(request, groundtruth=truth, batch=isinstance(opened.method, BatchMethod))
+    others = {}
+    if check is not None and tracked.status is RunStatus.OK and len(estimate.trajectory):
+        found = check_trajectory(request, check, tracked.given, folder, log, observer)
+        if found is not None:
+            others[check] = found
+    ended_badly = tracked.status not in (RunStatus.OK, RunStatus.INTERRUPTED)
+    rejected = f"{tracked.status.value}: {tracked.message}" if ended_badly else ""
+    return VerdictRecord.of(assess(estimate, tracked.given, scores.metrics, others, rejected), check)
 
 
 def _seed(seed: int) -> None:

@@ -1,6 +1,7 @@
 """`panobench run`: one method on one sequence, stored as a run folder.
 
-Exit codes: 0 ok, 1 the run ended otherwise (lost, crashed, ...), 2 bad input and nothing written, 130 interrupted.
+Exit codes: 0 ok, 1 the run ended otherwise (lost, crashed, ...), 2 bad input and nothing written, 3 with --strict where
+the verdict is not "trusted", 130 interrupted.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from panobench.cli.run_options import with_run_options
 from panobench.errors import UsageError
 
 if TYPE_CHECKING:
-    from panobench.bench.record import RunRecord
+    from panobench.bench.record import RunRecord, VerdictRecord
 
 app = typer.Typer()
-EXIT_NOT_OK, EXIT_INTERRUPTED = 1, 130
+EXIT_NOT_OK, EXIT_NOT_TRUSTED, EXIT_INTERRUPTED = 1, 3, 130
 
 
 def watching(option: str | None) -> AbstractContextManager[object]:
@@ -37,6 +38,9 @@ def run(
     given: dict[str, Any],
     out: Annotated[Path | None, typer.Option(help="The run folder; default: a new one below runs/.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the run that is in --out.")] = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with code 3 unless the verdict on the run is: trusted.")
+    ] = False,
     viewer: Annotated[
         str | None, typer.Option(help="Watch the run: rerun opens a window, rerun:FILE.rrd writes a file.")
     ] = None,
@@ -62,6 +66,10 @@ def run(
     if code:
         typer.echo(f"panobench: {record.status}: {record.message} (see {folder / 'log.txt'})", err=True)
         raise typer.Exit(code)
+    if strict and record.verdict is not None and record.verdict.word != "trusted":
+        reason = record.verdict.reasons[0] if record.verdict.reasons else ""
+        typer.echo(f"panobench: the run is {record.verdict.word}: {reason}", err=True)
+        raise typer.Exit(EXIT_NOT_TRUSTED)
 
 
 def run_with_progress(request: RunRequest, out: Path | None, force: bool, show: bool, verbose: bool = False) -> Path:
@@ -97,6 +105,15 @@ _LINES = (
 )
 
 
+def verdict_lines(verdict: VerdictRecord) -> list[str]:
+    """The verdict, why it is not better, and what to do."""
+    lines = [f"{'verdict':18}{verdict.word} ({verdict.confidence:.2f})"]
+    if verdict.word != "trusted":
+        lines += [f"  because {reason}" for reason in verdict.reasons]
+        lines += [f"  try: {advice}" for advice in verdict.advice]
+    return lines
+
+
 def summary(folder: Path, record: RunRecord) -> str:
     """A few lines for people; run.json has everything."""
     frames = record.frames
@@ -107,5 +124,11 @@ def summary(folder: Path, record: RunRecord) -> str:
             lines.append(f"{label:18}{form.format(value * factor)}")
     if record.depth.oracle:
         lines.append("note: the dataset's own depth was given to the method (oracle)")
+<<<<<<< HEAD
     lines += [f"note: {remark}" for remark in (*record.remarks, record.notes.get("ate_rotation_rmse_deg")) if remark]
+=======
+    lines += [f"note: {remark}" for remark in record.remarks]
+    if record.verdict is not None:
+        lines += verdict_lines(record.verdict)
+>>>>>>> 58b2011 (Every run has a verdict; --check asks a second method, --strict exits 3, reports mark what is doubtful)
     return "\n".join(lines)

@@ -100,10 +100,29 @@ def common_sequences(rows: Sequence[Sequence[Cell]]) -> list[int]:
     return [j for j in range(len(rows[0]) if rows else 0) if all(row[j].value is not None for row in alive)]
 
 
+#: What a flag means, for whoever points at it.
+FLAGS = {
+    "true depth": "was given the dataset’s own depth: an upper bound",
+    "given poses": "its trajectory is no result: an upper bound",
+    "failed start": "its map started from a depth that failed its check",
+    "doubtful": "the verdict on a run says that it may be wrong; see the run’s own section",
+}
+
+
 def flags(runs: Sequence[Run]) -> tuple[str, ...]:
     """What a reader must know about a row before comparing it."""
-    told = (("true depth", any(run.true_depth for run in runs)), ("given poses", given(runs)))
+    told = (
+        ("true depth", any(run.true_depth for run in runs)),
+        ("given poses", given(runs)),
+        ("failed start", any(run.failed_start for run in runs)),
+        ("doubtful", any(run.doubtful for run in runs)),
+    )
     return tuple(word for word, holds in told if holds)
+
+
+def competes(runs: Sequence[Run]) -> bool:
+    """Whether they may be the best of a column: not with given poses, nor where the verdict on a run is not trusted."""
+    return not given(runs) and not any(run.doubtful for run in runs)
 
 
 def given(runs: Sequence[Run]) -> bool:
@@ -131,7 +150,7 @@ def _row(
         row.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
     facets = {"method": variant.method, "status": "ok" if done == tried else "failed"}
     told = flags(runs[variant])
-    return Row(tuple(row), variant.origin, facets, flags=told, competes=not given(runs[variant]))
+    return Row(tuple(row), variant.origin, facets, flags=told, competes=competes(runs[variant]))
 
 
 def _published_row(label: str, values: Sequence[float | None], unit: str, common: Sequence[int]) -> Row:

@@ -19,6 +19,7 @@ from markupsafe import Markup, escape
 from panobench import __version__
 from panobench.bench.paper import Published
 from panobench.errors import UnavailableError
+from panobench.report.accuracy import FLAGS
 from panobench.report.headline import default_title, facts, measurements, tiles
 from panobench.report.images import BUDGET, SMALLEST
 from panobench.report.mapview import MOST, MOST_IN_ALL, map_size
@@ -90,6 +91,7 @@ def _page(
         "places": places,
         "cost_charts": cost_charts(grouped, data),
         "failures": [(run, failure(run), label_of[id(run)]) for run in collection.runs if failure(run)],
+        "doubtful": [(i, run, label_of[id(run)]) for i, run in enumerate(collection.runs) if run.doubtful],
         "problems": collection.problems,
         "protocols": sorted({run.protocol for run in collection.runs if run.protocol}),
         "runs": [_run_details(i, run, label_of[id(run)], gallery) for i, run in enumerate(collection.runs)],
@@ -160,6 +162,7 @@ def _environment() -> jinja2.Environment:
     environment.filters["safe_json"] = safe_json
     environment.filters["breakable"] = breakable
     environment.globals["facet_values"] = facet_values
+    environment.globals["flag_titles"] = FLAGS
     return environment
 
 

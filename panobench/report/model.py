@@ -10,8 +10,12 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+<<<<<<< HEAD
 from panobench.bench.record import RunRecord
 from panobench.bench.study_record import StoredStudy
+=======
+from panobench.bench.record import RunRecord, VerdictRecord
+>>>>>>> 58b2011 (Every run has a verdict; --check asks a second method, --strict exits 3, reports mark what is doubtful)
 from panobench.geometry import Sim3
 from panobench.types import Trajectory
 
@@ -154,6 +158,21 @@ class Run:
     def given_poses(self) -> bool:
         """It was given the poses: its trajectory is no result, and its map an upper bound."""
         return self.record.depth.poses_given
+
+    @property
+    def failed_start(self) -> bool:
+        """The map started from a depth that had failed its own check."""
+        return self.record.depth.ok is False
+
+    @property
+    def verdict(self) -> VerdictRecord | None:
+        """Whether it is right, as far as can be known without ground truth."""
+        return self.record.verdict
+
+    @property
+    def doubtful(self) -> bool:
+        """The verdict is not "trusted"."""
+        return self.record.verdict is not None and self.record.verdict.word != "trusted"
 
     def number(self, key: str) -> float | None:
         """A metric or timing, the size of the map, or "ate_percent" of the path; None where it was not measured."""

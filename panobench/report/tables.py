@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from panobench.bench.paper import Published
 from panobench.bench.statistics import summarise
-from panobench.report.accuracy import accuracy_table, flags, given
+from panobench.report.accuracy import accuracy_table, competes, flags
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
 from panobench.report.studies import study_tables
@@ -108,7 +108,7 @@ def quantity_table(name: str, title: str, quantities: Sequence[Quantity], groupe
             for quantity in quantities:
                 cells.append(_mean_of_medians(good, sequences, quantity))
             facets = {"method": variant.method, "dataset": dataset}
-            block.append(Row(tuple(cells), variant.origin, facets, flags=flags(good), competes=not given(good)))
+            block.append(Row(tuple(cells), variant.origin, facets, flags=flags(good), competes=competes(good)))
         rows += mark_ranks(columns, block)
     caption = "Mean over the sequences a method succeeded on, each the median of its repeats."
     return Table(name, title, caption, tuple(columns), tuple(rows))

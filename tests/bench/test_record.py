@@ -83,11 +83,11 @@ def contains(new: Any, old: Any) -> bool:
 
 
 def test_what_a_newer_version_wrote_is_kept(tmp_path: Path) -> None:
-    newer = {**OLD, "verdict": {"value": 0.3}, "frames": {**OLD["frames"], "masked": 2}}
+    newer = {**OLD, "from_tomorrow": {"value": 0.3}, "frames": {**OLD["frames"], "masked": 2}}
     record = RunRecord.from_dict(newer)
     replace_record(tmp_path, record)
     written = json.loads((tmp_path / "run.json").read_text())
-    assert written["verdict"] == {"value": 0.3}
+    assert written["from_tomorrow"] == {"value": 0.3}
     assert written["frames"]["masked"] == 2
     assert [p.name for p in tmp_path.iterdir()] == ["run.json"]
 
