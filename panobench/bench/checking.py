@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from panobench.bench.blas import one_blas_thread
 from panobench.bench.observer import Observer
-from panobench.bench.opening import open_run, oracle_depth
 from panobench.bench.request import RunRequest
+from panobench.bench.setup import oracle_depth, set_up_run
 from panobench.bench.tracking import Tracked, track_batch, track_online
 from panobench.datasets.base import FrameSequence
 from panobench.errors import PanobenchError
@@ -80,18 +80,18 @@ def check_trajectory(
     if check != BACKWARDS:
         asked = replace(asked, preset=None, settings={}, depth=None)
     try:
-        opened = open_run(asked)
-        sequence: Any = Backwards(opened.sequence, given) if check == BACKWARDS else opened.sequence
+        setup = set_up_run(asked)
+        sequence: Any = Backwards(setup.sequence, given) if check == BACKWARDS else setup.sequence
         with tempfile.TemporaryDirectory(prefix="check-", dir=folder, ignore_cleanup_errors=True) as work:
             context = MethodContext(
-                seed=request.seed, work=Path(work), make_depth=opened.depth.make if opened.depth else None
+                seed=request.seed, work=Path(work), make_depth=setup.depth.make if setup.depth else None
             )
             with one_blas_thread():
-                if isinstance(opened.method, BatchMethod):
-                    tracked: Tracked = track_batch(opened.method, sequence, frozenset(), context, Observer())
+                if isinstance(setup.method, BatchMethod):
+                    tracked: Tracked = track_batch(setup.method, sequence, frozenset(), context, Observer())
                 else:
                     tracked = track_online(
-                        opened.method, sequence, frozenset(), context, oracle_depth(opened), observer, _nobody
+                        setup.method, sequence, frozenset(), context, oracle_depth(setup), observer, _nobody
                     )
     except PanobenchError as error:
         log(f"check by {check}: {error}")

@@ -219,14 +219,9 @@ class RunRecord(JsonRecord):
     """Everything in run.json.
 
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
-<<<<<<< HEAD
     metric: the method says that its scale is metres. notes: metric -> why it is None or odd. keyframes: frame indices.
-    groundtruth: whether there was any. remarks: what the dataset says about its data. extra: what the method reports.
-=======
-    metric: the method says that its scale is metres. notes: metric -> why it is None. keyframes: indices of frames.
     groundtruth: whether there was any. verdict: None for runs stored before there were verdicts.
     remarks: what the dataset says about its data. extra: what the method reports.
->>>>>>> 58b2011 (Every run has a verdict; --check asks a second method, --strict exits 3, reports mark what is doubtful)
     isolation: what the process that watched the run measured.
     """
 

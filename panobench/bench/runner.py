@@ -14,11 +14,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from panobench.bench.blas import one_blas_thread
-<<<<<<< HEAD
-=======
 from panobench.bench.checking import check_trajectory, chosen_check
-from panobench.bench.document import run_record, timing_record, write_run
->>>>>>> 58b2011 (Every run has a verdict; --check asks a second method, --strict exits 3, reports mark what is doubtful)
 from panobench.bench.evaluate import Scores, evaluate
 from panobench.bench.memory import Meter
 from panobench.bench.observer import Observer
@@ -119,7 +115,7 @@ def _run(
     timing.peak_rss_bytes, timing.cpu_s = meter.peak_rss_bytes, cpu_s
     record = run_record(request, setup, tracked, holdout, scores, timing, origin)
     record.cell = cell
-    record.verdict = _verdict(request, opened, tracked, scores, folder, log, observer)
+    record.verdict = _verdict(request, setup, tracked, scores, folder, log, observer)
     log(f"verdict: {record.verdict.word} ({record.verdict.confidence:.2f})")
     for remark in record.remarks:
         if remark not in said:
@@ -188,7 +184,7 @@ def _score(
 
 def _verdict(
     request: RunRequest,
-    opened: Opened,
+    setup: RunSetup,
     tracked: Tracked,
     scores: Scores,
     folder: Path,
@@ -198,8 +194,8 @@ def _verdict(
     """What can be said about the run without ground truth, with a second opinion where one is asked for."""
     estimate = tracked.estimate
     assert estimate is not None
-    truth = opened.sequence.groundtruth is not None
-    check = chosen_check(request, groundtruth=truth, batch=isinstance(opened.method, BatchMethod))
+    truth = setup.sequence.groundtruth is not None
+    check = chosen_check(request, groundtruth=truth, batch=isinstance(setup.method, BatchMethod))
     others = {}
     if check is not None and tracked.status is RunStatus.OK and len(estimate.trajectory):
         found = check_trajectory(request, check, tracked.given, folder, log, observer)

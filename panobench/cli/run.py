@@ -124,11 +124,7 @@ def summary(folder: Path, record: RunRecord) -> str:
             lines.append(f"{label:18}{form.format(value * factor)}")
     if record.depth.oracle:
         lines.append("note: the dataset's own depth was given to the method (oracle)")
-<<<<<<< HEAD
     lines += [f"note: {remark}" for remark in (*record.remarks, record.notes.get("ate_rotation_rmse_deg")) if remark]
-=======
-    lines += [f"note: {remark}" for remark in record.remarks]
     if record.verdict is not None:
         lines += verdict_lines(record.verdict)
->>>>>>> 58b2011 (Every run has a verdict; --check asks a second method, --strict exits 3, reports mark what is doubtful)
     return "\n".join(lines)

@@ -10,12 +10,8 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-<<<<<<< HEAD
-from panobench.bench.record import RunRecord
-from panobench.bench.study_record import StoredStudy
-=======
 from panobench.bench.record import RunRecord, VerdictRecord
->>>>>>> 58b2011 (Every run has a verdict; --check asks a second method, --strict exits 3, reports mark what is doubtful)
+from panobench.bench.study_record import StoredStudy
 from panobench.geometry import Sim3
 from panobench.types import Trajectory
 
