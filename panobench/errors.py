@@ -25,7 +25,7 @@ class UsageError(PanobenchError):
 
 
 class UnknownNameError(UsageError):
-    """A plugin, sequence or option name that nobody registered; suggests the nearest one.
+    """The name of a plugin, sequence or option is not known; the message suggests the nearest one.
 
     nearest: what to suggest, if not what is spelt most nearly so. listed_by: the command that lists the known names,
     given where they are too many for one line.
@@ -44,7 +44,7 @@ class UnknownNameError(UsageError):
 
 
 class InputError(PanobenchError):
-    """Data that cannot be used; names the file and, where it has one, the line or frame."""
+    """Data cannot be used; the message names the file and, where there is one, the line or frame."""
 
     def __init__(
         self,
@@ -76,17 +76,17 @@ class DatasetError(InputError):
 
 
 class OutputError(PanobenchError):
-    """What was to be written cannot be: a full disk, missing permission. Nothing finished is lost."""
+    """A file cannot be written: the disk is full, or permission is missing. Nothing finished is lost."""
 
 
 class UnsupportedError(PanobenchError):
-    """A combination the method, camera or format cannot do; says which ones it can."""
+    """A combination that the method, camera or format does not support; the message says what it does support."""
 
     run_status = "unsupported"
 
 
 class UnavailableError(PanobenchError):
-    """Something registered that cannot run here; says in one line what is missing."""
+    """Something registered cannot run here; the message says in one line what is missing."""
 
     run_status = "unavailable"
 

@@ -1,4 +1,4 @@
-"""Specs: what a plugin says about itself. Cheap to build; the implementation is named as "module:Name".
+"""Specs describe what a plugin provides. They are cheap to build and name the implementation as "module:Name".
 
 Nothing heavy is imported until ``Spec.load()``: `panobench list` works from specs alone.
 """
@@ -20,7 +20,7 @@ CONTRACT_VERSION = "1.1"
 
 @dataclass(frozen=True)
 class Spec:
-    """Common part of all specs.
+    """The common part of all specs.
 
     name:           what users type; lower case, digits, '-' and '_'.
     summary:        one line for `panobench list`.

@@ -113,7 +113,7 @@ class Estimate:
 
     trajectory: poses of the frames it tracked, at those frames' times (a subset of the input times).
     keyframes:  indices of input frames used as keyframes.
-    metric:     True if the scale is meant to be metres (then ATE is aligned by SE(3), not Sim(3)).
+    metric:     True if the scale is meant to be metres (then ATE without scale alignment is measured too).
     map:        the final map, if there is one to store.
     frames:     per-frame numbers keyed by frame index, written to frames.csv (loss, iterations, ...).
     depth:      the depth the map was started with, for the report (see ``DepthEstimate``).

@@ -1,4 +1,4 @@
-"""What goes wrong when writing to disk is the user's to mend: it becomes one OutputError that says how."""
+"""Write files. What goes wrong on the disk becomes an OutputError that tells the user what to do."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def disk_full(path: Path, again: str = AGAIN) -> OutputError:
 
 @contextmanager
 def writing(path: Path, again: str = AGAIN, denied: str = "") -> Iterator[None]:
-    """Turn the block's OSErrors into OutputError about ``path``. Put nothing but writing into the block.
+    """Turn the block's OSErrors into an OutputError about ``path``. Put nothing but writing into the block.
 
     again: what to do about a full disk. denied: what to do when it cannot be written for another reason.
     """
@@ -70,7 +70,7 @@ def write_whole(path: Path, data: bytes | str) -> None:
     A device or pipe (/dev/stdout) is written to, never replaced. Raises OutputError.
     """
     content = data.encode("utf-8") if isinstance(data, str) else data
-    place = Path(os.path.realpath(path))  # a link stays one
+    place = Path(os.path.realpath(path))  # the target of a link is written, and the link stays
     part = place.with_name(f".{place.name}.{os.getpid()}.part")
     with writing(path):
         if place.exists() and not place.is_file():

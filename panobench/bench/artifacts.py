@@ -1,4 +1,4 @@
-"""Files beside code and data that a result depends on: networks, weights, vocabularies, other people's programs.
+"""Artifacts: files beside code and data that a result depends on, such as networks, vocabularies and programs.
 
 They count by content, as code and data do: a network that is trained again under its old name gives new results.
 """
@@ -20,10 +20,10 @@ from panobench.specs import MethodSpec, MetricSpec, load_object
 
 
 def artifact_checksums(request: RunRequest, spec: MethodSpec, config: Any) -> dict[str, str]:
-    """What for -> SHA-256 of a file's content, for all files that a run reads besides code and data.
+    """SHA-256 of every artifact that a run reads, by what it is used for.
 
-    Files are named by a method's options, by a spec's ``files`` function, and by adapters of other programs. Where
-    a file lies does not count. Raises a PanobenchError for a depth estimator that cannot be had.
+    Artifacts are named by a method's options, by a spec's ``files`` function, and by adapters to other programs. The
+    folder an artifact is in does not count. Raises a PanobenchError for a depth estimator that is not available.
     """
     found: dict[str, str] = {}
     for key, text in _texts("", config_values(config)):
@@ -37,13 +37,13 @@ def artifact_checksums(request: RunRequest, spec: MethodSpec, config: Any) -> di
     for metric in registry().specs(MetricSpec).values():
         try:
             _add(found, f"metric {metric.name}", _named(metric.files, None, metric.name))
-        except PanobenchError as error:  # a metric that cannot be had leaves a note in the run, and does not end it
+        except PanobenchError as error:  # the run goes on without a metric that is not available, and notes it
             found[f"metric {metric.name}"] = str(error)
     return found
 
 
 def _named(function: str | None, argument: Any, name: str) -> list[Path]:
-    """What a spec's ``files`` says. Raises PanobenchError, whatever a stranger's function raises."""
+    """The files that a spec's ``files`` function returns. Raises PanobenchError, whatever that function raises."""
     if not function:
         return []
     try:
@@ -55,7 +55,7 @@ def _named(function: str | None, argument: Any, name: str) -> list[Path]:
 
 
 def _program(spec: MethodSpec, config: Any) -> Iterable[Path]:
-    """The program of an adapter, for all that derive from ``ExternalMethod``."""
+    """The program that an adapter runs; nothing for methods that are no ``ExternalMethod``."""
     from panobench.external.adapter import ExternalConfig, ExternalMethod
 
     if not isinstance(config, ExternalConfig):
@@ -87,7 +87,11 @@ def _file(text: str) -> Path | None:
     try:
         path = Path(text).expanduser()
         return path if path.is_file() else None
-    except (OSError, ValueError, RuntimeError):  # too long, a zero byte, the home of nobody
+    except (
+        OSError,
+        ValueError,
+        RuntimeError,
+    ):  # the name is too long, has a zero byte, or names an unknown user's home
         return None
 
 

@@ -23,7 +23,7 @@ from panobench.types import RunStatus
 
 @dataclass(frozen=True)
 class Limits:
-    """Of one run: wall-clock seconds, resident memory of its process tree, and number of its processes."""
+    """What one run may use: wall-clock seconds, resident memory of its process tree, and number of processes."""
 
     timeout_s: float = 3600.0
     memory_gib: float = 8.0
@@ -55,7 +55,7 @@ class Cell:
 
     @property
     def label(self) -> str:
-        """For people: what ``run_words`` says, and the seed."""
+        """The cell in words: what ``run_words`` says, and the seed."""
         repeat = [f"repeat {self.repeat}"] if self.repeat else []
         return " ".join([*run_words(self.request.to_dict()), f"seed {self.request.seed}", *repeat])
 
@@ -77,7 +77,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Planned:
-    """A cell with its key. status: set when it cannot run here at all, with the reason in message."""
+    """A cell with its key. status and message are set when it cannot run here at all."""
 
     cell: Cell
     key: str
@@ -86,21 +86,21 @@ class Planned:
 
 
 class Planner:
-    """Computes keys; remembers code and data hashes, as most cells of a suite share them."""
+    """Computes the keys of cells. It remembers hashes of code and data, as most cells of a suite share them."""
 
     def __init__(self) -> None:
         self._data: dict[str, Any] = {}
         self._code: dict[tuple[str, ...], str] = {}
 
     def plan(self, cell: Cell) -> Planned:
-        """Raises UsageError for options the method does not have: a mistake in the suite, not a result; OutputError."""
+        """The cell with its key. Raises UsageError for a mistake in the suite, which is no result, and OutputError."""
         try:
             spec = method_spec(cell.request)
             config = method_config(spec, cell.request.preset, cell.request.settings)
             data, kind = self._data_of(cell.request)
             check_kind(kind, spec)
             files = artifact_checksums(cell.request, spec, config)
-        except (UsageError, OutputError):  # a mistake in the suite; a cache that cannot be written
+        except (UsageError, OutputError):  # a mistake in the suite, or a cache that cannot be written
             raise
         except PanobenchError as error:
             return self._impossible(cell, error)
@@ -118,13 +118,13 @@ class Planner:
         return Planned(cell, digest(parts))
 
     def _impossible(self, cell: Cell, error: PanobenchError) -> Planned:
-        """Not runnable here and now: its key holds the reason, so it is planned anew when the reason changes."""
-        # Data that are missing or broken are as much in the way as a missing package.
+        """A cell that cannot run here and now. Its key holds the reason, and changes with it."""
+        # missing or broken data prevent a run as a missing package does
         status = RunStatus.UNAVAILABLE if isinstance(error, InputError) else RunStatus(error.run_status)
         return Planned(cell, digest([cell.identity, status.value, str(error)]), status, str(error))
 
     def _data_of(self, request: RunRequest) -> tuple[Any, str]:
-        """The sequence as it would be given to any method (its files' checksums, camera, length); the camera's kind."""
+        """The sequence that any method would be given (files' checksums, camera, length), and its camera's kind."""
         key = digest([getattr(request, option.name) for option in run_options() if option.changes_input])
         if key not in self._data:
             try:
@@ -142,7 +142,7 @@ class Planner:
         try:
             sequence = open_input(request)
         except UnknownNameError as error:
-            # Of data that people download, a part may be missing: a row, where a wrong built-in name is a mistake.
+            # downloaded data may be incomplete, which is a result; a wrong name of built-in data is a mistake
             if "sequence" in error.kind and registry().get(DatasetSpec, request.dataset).needs_root:
                 raise DatasetError(str(error)) from error
             raise

@@ -15,7 +15,7 @@ from panobench.bench.runfolder import RUN_JSON, folders_with
 from panobench.bench.statistics import Change, change
 from panobench.errors import InputError, UnknownNameError, UsageError
 
-#: Short names for rules -> where the number is in run.json, and its unit when shown.
+#: Short name of a number in a rule -> its name in run.json.
 NAMES = {
     "ate": "ate_rmse_m",
     "ate_keyframes": "ate_keyframes_rmse_m",
@@ -38,9 +38,9 @@ _RULE = re.compile(r"\s*(any:)?\s*([a-z_0-9]+)\s*([<>])\s*([0-9.]+(?:e-?[0-9]+)?
 
 @dataclass(frozen=True)
 class Rule:
-    """ "ate>5%": it is broken when the number grew by more than 5 percent; "<": when it fell by more.
+    """A rule such as "ate>5%": it is broken when the ATE grew by more than 5 per cent, or with "<", fell by more.
 
-    Without % the amount is in the number's own unit. each: judged for every sequence, not for the mean over them.
+    Without % the amount is in the number's own unit. each: the rule is judged for every sequence, not for their mean.
     """
 
     text: str
@@ -52,7 +52,7 @@ class Rule:
 
     @classmethod
     def parse(cls, text: str) -> Rule:
-        """Raises UsageError or UnknownNameError."""
+        """The rule that ``text`` states. Raises UsageError or UnknownNameError."""
         match = _RULE.match(text)
         if match is None:
             raise UsageError(f"--fail-on '{text}': expected NAME>AMOUNT[%] or NAME<AMOUNT[%], such as 'ate>5%'")
@@ -67,13 +67,13 @@ class Rule:
         return cls(text.strip(), key, sign == "<", value / 100 if percent else value, bool(percent), bool(each))
 
     def exceeded(self, found: Change) -> bool:
-        """More than allowed in the rule's direction, and beyond noise."""
+        """Whether the change is larger than the rule allows, and larger than noise."""
         return (-found.value if self.falls else found.value) > self.amount and found.beyond_noise()
 
 
 @dataclass
 class Group:
-    """Runs of one cell, seeds and repeats joined."""
+    """The runs of one cell, with all its seeds and repeats."""
 
     label: str
     runs: list[RunRecord] = field(default_factory=list)
@@ -83,7 +83,7 @@ class Group:
         return [r for r in self.runs if not r.ok]
 
     def numbers(self, key: str) -> list[float]:
-        """Of the repeats that went well and have the number."""
+        """The number in each repeat that went well and measured it."""
         return [value for run in self.runs if run.ok and (value := run.number(key)) is not None]
 
 
@@ -99,7 +99,7 @@ class Verdict:
 
 @dataclass
 class Comparison:
-    """verdicts; cells that were ok and fail now; cells only one side has; numbers per cell for showing."""
+    """Verdicts, cells that fail more often than before, cells of one side only, and both groups of each other cell."""
 
     verdicts: list[Verdict]
     new_failures: list[str]
@@ -113,13 +113,13 @@ class Comparison:
 
     @property
     def unjudged(self) -> list[str]:
-        """Rules that no cell could be judged by: a gate that stays open whatever happens."""
+        """The rules that no cell could be judged by: such a gate would pass whatever happens."""
         judged = {v.rule.text for v in self.verdicts if v.change is not None}
         return [text for text in dict.fromkeys(v.rule.text for v in self.verdicts) if text not in judged]
 
 
 def load_runs(path: Path) -> list[RunRecord]:
-    """Every run.json at or below ``path``, hidden and _folders left out. Raises InputError if damaged or none."""
+    """The record of every run at or below ``path``. Raises InputError if one is damaged or there is none."""
     return [read_record(folder) for folder in run_folders(path)]
 
 
@@ -134,7 +134,7 @@ def run_folders(path: Path) -> list[Path]:
 
 
 def compare(base: list[RunRecord], new: list[RunRecord], rules: Iterable[Rule]) -> Comparison:
-    """Raises InputError when no cell is on both sides."""
+    """Judge ``new`` against ``base``. Raises InputError when they have no cell in common."""
     with_method = bool(_methods(base) & _methods(new)) or len(_methods(base)) > 1 or len(_methods(new)) > 1
     depths = _depths([*base, *new], with_method)
     left, right = _groups(base, with_method, depths), _groups(new, with_method, depths)
@@ -166,7 +166,7 @@ def _methods(runs: list[RunRecord]) -> set[str]:
 
 
 def _cell(run: RunRecord, with_method: bool) -> dict[str, Any]:
-    """The options that make two runs the same cell; seeds and repeats are joined."""
+    """The options that define a cell; runs that differ in others, such as the seed, are its repeats."""
     values = {option.name: run.spec.option(option.name) for option in run_options() if option.separates}
     values |= {"method": run.spec.method if with_method else "", "dataset": run.spec.dataset}
     return {**values, "sequence": run.spec.sequence}

@@ -1,4 +1,4 @@
-"""A method's configuration: dataclass defaults, then a preset, then ``--set key=value``, each checked and coerced."""
+"""Make a method's configuration from its defaults, a preset and ``--set key=value``; check and convert every value."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def method_config(spec: MethodSpec, preset: str | None = None, settings: Mapping
     try:
         config = override(cls(), chosen, f"preset '{preset}' of method '{spec.name}'", listed_by)
         return override(config, settings, what, listed_by)
-    except (TypeError, ValueError) as error:  # the dataclass's own __post_init__ refuses the values
+    except (TypeError, ValueError) as error:  # raised by __post_init__ of the dataclass
         raise UsageError(f"method '{spec.name}': {error}") from error
 
 
@@ -147,7 +147,7 @@ def _coerce(value: Any, hint: Any) -> Any:
 
 
 def _union(value: Any, args: tuple[Any, ...]) -> Any:
-    # None first ("none" must not become the text), text last (it takes everything).
+    # try None first, so that "none" does not become text, and text last, which takes everything
     for option in sorted(args, key=lambda a: (a is not type(None), a in (str, Path))):
         try:
             return _coerce(value, option)

@@ -1,4 +1,4 @@
-"""Cells on other machines through dask.distributed. The store, its locks and all decisions stay with the suite.
+"""Run cells on other machines through dask.distributed. The store, its locks and all decisions stay with the suite.
 
 A worker runs a cell in a process of its own, as the local executor does, on its own disk, and sends the run folder
 back as a tar archive: only the data need a path that all machines share.
@@ -23,16 +23,16 @@ from panobench.bench.suite import compute
 from panobench.errors import InputError, UnavailableError, UsageError
 from panobench.writing import writing
 
-#: Seconds between looks whether a cell is still wanted.
+#: Seconds between two checks whether a cell is still wanted.
 _POLL_S = 1.0
-#: How long a scheduler is waited for, seconds.
+#: Seconds to wait for a scheduler.
 CONNECT_S = 30.0
 #: A larger run folder is refused rather than unpacked.
 MAX_UNPACKED_BYTES = 4 << 30
 
 
 class DaskCompute:
-    """What a ``SuiteRunner`` calls to compute a cell; ``parallel`` of them at a time.
+    """Computes cells for a ``SuiteRunner``, ``parallel`` of them at a time.
 
     scheduler: address of a running scheduler, None for a cluster of ``jobs`` workers on this machine.
     """
@@ -45,7 +45,7 @@ class DaskCompute:
             raise UnavailableError("--executor dask needs the extra: pip install 'panobench[dask]'") from error
         self._cluster: Any = None
         if scheduler is None:
-            # A worker that dies is our attempt, counted and recorded, not one of the scheduler's own.
+            # when a worker dies the suite tries again and counts the attempts; the scheduler must not
             dask.config.set({"distributed.scheduler.allowed-failures": 0})
             self._cluster = distributed.LocalCluster(
                 n_workers=jobs, threads_per_worker=1, dashboard_address=None, memory_limit=0
@@ -70,7 +70,7 @@ class DaskCompute:
         return compute(planned, suite, place, stopper, run=self._run_for(planned))
 
     def _run_for(self, planned: Planned) -> Callable[[Cell, CellRecord, Path, Stopper], Path]:
-        """``run_isolated`` on a worker."""
+        """A function that does ``run_isolated`` on a worker."""
 
         def run(cell: Cell, entry: CellRecord, place: Path, stopper: Stopper) -> Path:
             from concurrent.futures import CancelledError
@@ -97,7 +97,7 @@ class DaskCompute:
 
 
 def run_remotely(values: dict[str, Any], key: str, entry: dict[str, Any]) -> bytes:
-    """In a worker: run the cell, return its run folder as a tar archive.
+    """Run the cell in a worker and return its run folder as a tar archive.
 
     Raises UsageError when the worker's code, packages or data differ from the suite's: its result would not belong
     under the cell's key.
@@ -123,7 +123,7 @@ class _watch_task:
 
         self._stopper, self._done = stopper, threading.Event()
         self._tasks: Any = None
-        with contextlib.suppress(ValueError):  # called outside a worker
+        with contextlib.suppress(ValueError):  # it is called outside a worker
             worker = get_worker()
             self._tasks, self._key = worker.state.tasks, worker.get_current_task()
         self._thread = threading.Thread(target=self._look, daemon=True)

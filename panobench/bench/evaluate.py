@@ -17,7 +17,7 @@ from panobench.writing import is_disk_full
 
 @dataclass
 class Scores:
-    """metrics: name -> number or None. notes: metric or key -> why it is None. status and message: of the run."""
+    """What a run scored. notes: metric or key -> why it is None. status and message are the run's."""
 
     status: RunStatus
     message: str
@@ -27,10 +27,10 @@ class Scores:
 
 
 def evaluate(data: MetricInput, status: RunStatus, message: str, log: Callable[[str], None]) -> Scores:
-    """Every metric of a run that went through (or was interrupted); of a failed one only its coverage.
+    """Compute every metric of a run that went through or was interrupted, and only the coverage of a failed one.
 
-    A metric that raises leaves its keys None and a note; it never changes the run's status. Only a full disk is raised:
-    the run could not be stored.
+    A metric that raises leaves its keys None, with a note, and never changes the run's status. Only a full disk is
+    raised, as the run could not be stored then.
     """
     begin = time.perf_counter()
     scores = Scores(status, message, dict.fromkeys(METRIC_NAMES))
@@ -51,7 +51,7 @@ def evaluate(data: MetricInput, status: RunStatus, message: str, log: Callable[[
 def judge(
     metrics: Mapping[str, float | None], min_tracked: float = MIN_TRACKED, failed_ate_m: float = FAILED_ATE_M
 ) -> tuple[RunStatus, str]:
-    """OK, or LOST with the reason: the protocol's limits on coverage and on the error.
+    """Apply the protocol's limits on coverage and error: OK, or LOST with the reason.
 
     A method that says its scale is metric is held to its error without scale alignment as well: Sim(3) shrinks a
     trajectory that diverged by kilometres to a point near the truth's centre.
@@ -78,7 +78,7 @@ def _measure(
         return nothing
     try:
         values = spec.load()(data)
-    except Exception as error:  # a stranger's metric, or a renderer that fails: the run stays a run
+    except Exception as error:  # a plugin's metric or a renderer failed; the run is stored all the same
         if is_disk_full(error):
             raise
         if isinstance(error, PanobenchError):

@@ -1,4 +1,4 @@
-"""Run folders for runs that left none of their own: killed, out of time or memory, or never able to start."""
+"""Write run folders for runs that left none: they were killed, ran out of time or memory, or could not start."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import FRAMES, LOG, TRAJECTORY, PendingRun, write_frames
 from panobench.types import RunStatus
 
-#: Of each log that is kept.
+#: How much of each log is kept.
 MAX_LOG_BYTES = 1 << 20
 
 
@@ -27,7 +27,7 @@ def write_failure(
     cell: CellRecord | None = None,
     isolation: dict[str, Any] | None = None,
 ) -> Path:
-    """A complete run folder without results at ``out``."""
+    """Write a complete run folder without results at ``out``."""
     record = empty_record(request, status, message)
     record.provenance = provenance()
     record.provenance.command = shlex.join(request.command())

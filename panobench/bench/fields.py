@@ -15,20 +15,20 @@ from functools import lru_cache
 from typing import Any, TypeVar, cast
 
 R = TypeVar("R", bound="JsonRecord")
-#: Beyond it sums and squares overflow; nothing that is measured comes near.
+#: Sums and squares of larger numbers overflow; nothing that is measured comes near.
 LARGEST = 1e100
 #: What ``fit`` answers when a value does not fit.
 UNFIT = object()
 
 
 def optional() -> Any:
-    """A field that is None by default, and left out of the file then."""
+    """A field that is None by default and then left out of the file."""
     return field(default=None, metadata={"optional": True})
 
 
 @dataclass
 class JsonRecord:
-    """Base of the records. Subclasses are dataclasses whose fields all have defaults."""
+    """Base of the records. A subclass is a dataclass whose fields all have defaults."""
 
     other: dict[str, Any] = field(default_factory=dict, kw_only=True)
 
@@ -59,7 +59,7 @@ def _hints(cls: Any) -> dict[str, Any]:
 
 
 def number(value: Any) -> float | None:
-    """A finite number that can be reckoned with, else None."""
+    """``value`` if it is a finite number below ``LARGEST``, else None."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     return float(value) if abs(value) <= LARGEST and math.isfinite(value) else None

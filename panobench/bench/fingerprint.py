@@ -1,4 +1,4 @@
-"""Content hashes of code and data: what a stored result depends on.
+"""Hash the code and data that a stored result depends on.
 
 The code of an object is its module and every module of the same top-level packages that it imports, directly or
 not, at the top or inside functions. Other packages count by their version.
@@ -23,7 +23,7 @@ from typing import Any
 NUMERICAL_PACKAGES = ("numpy", "scipy", "numba", "torch", "opencv-python-headless", "av", "evo")
 #: Parts of panobench that show or organise results and cannot change one.
 _NOT_RESULTS = ("panobench.cli", "panobench.report", "panobench.studies", "panobench.testing", "panobench.builtins")
-#: What a dataset says about where its files are is not content.
+#: Entries of a provenance that say where files are; that is no content.
 _PLACES = {"root", "path", "folder", "cache", "cached"}
 
 
@@ -47,11 +47,11 @@ def code_fingerprint(implementations: Iterable[str]) -> str:
         if not name or name in modules or name.partition(".")[0] not in packages or _is_not_results(name):
             continue
         if name not in roots and _spec(name) is None:
-            # not a module, but a name imported from one; the package may export it from another module on first use
+            # a name imported from a module; the package may export it from another module on first use
             waiting += _exporting_module(name)
             continue
         source = _source(name)
-        # an empty file is source too; looking up distributions takes a third of a second each time
+        # an empty file is source too; looking up distributions takes a third of a second
         modules[name] = _version_of(name) if source is None else source
         # importing a module runs the packages around it
         waiting += [*_imports(name), name.rpartition(".")[0]]
@@ -70,7 +70,7 @@ def environment_fingerprint() -> dict[str, str]:
 
 
 def data_fingerprint(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """A sequence's provenance without where its files are."""
+    """A sequence's provenance, without the places of its files."""
     return {k: _without_places(v) for k, v in provenance.items() if k not in _PLACES}
 
 
@@ -84,7 +84,7 @@ def _is_not_results(name: str) -> bool:
 
 @cache
 def _spec(name: str) -> Any:
-    """Where a module is. Only packages above it are imported, never a module to look for a name in it."""
+    """The module's import spec. Only the packages above it are imported, never the module itself."""
     parent = name.rpartition(".")[0]
     if parent and not _is_package(parent):
         return None
@@ -133,7 +133,7 @@ def _version_of(name: str) -> str:
 
 @cache
 def _imports(name: str) -> list[str]:
-    """What a module may import: the modules it names, and the names it takes from them.
+    """The modules that a module imports, and the names it takes from them.
 
     From the compiled code, not the syntax tree: CPython 3.11 can fail to build the latter in a second thread.
     """

@@ -1,4 +1,4 @@
-"""Ctrl-C: the first one asks the run to stop after this frame, the second one stops it at once."""
+"""Handle Ctrl-C: the first asks a run to stop after this frame, the second stops it at once."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 
 
 class InterruptRequest:
-    """A context manager that turns SIGINT and SIGTERM into ``requested``. Only acts in the main thread.
+    """A context manager that turns SIGINT and SIGTERM into ``requested``. It acts in the main thread only.
 
-    ``at_once``: raise KeyboardInterrupt at the first signal already (for work that cannot look at ``requested``).
+    at_once: raise KeyboardInterrupt at the first signal already, for work that cannot look at ``requested``.
     """
 
     def __init__(self, at_once: bool = False) -> None:

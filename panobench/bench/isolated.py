@@ -1,4 +1,4 @@
-"""A run in a process of its own, with limits: whatever the method does, it ends that run alone."""
+"""Run a cell in a process of its own, with limits: whatever the method does, it ends that run alone."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from panobench.writing import disk_full, writing
 
 #: Seconds a run has to write what it tracked when the suite is interrupted.
 GRACE_S = 20.0
-#: A run that prints more is ended, before it fills the disk for all.
+#: A run that prints more is ended before it fills the disk.
 MAX_OUTPUT_BYTES = 256 << 20
-#: In the environment of everything a run starts: the folder it works in.
+#: The environment variable by which all processes of a run are known; its value is the folder the run works in.
 MARK = "PANOBENCH_RUN_PLACE"
 
 
 class InfrastructureError(PanobenchError):
-    """Not the method's failure: the process that watched over it was lost."""
+    """The process that watched over a run was lost; the method is not to blame."""
 
 
 class Interrupted(Exception):
-    """A run was stopped before it could write anything."""
+    """A run was stopped before it wrote anything."""
 
 
 class Stopper:
@@ -53,7 +53,7 @@ class Stopper:
 
     @contextlib.contextmanager
     def watching(self, action: Callable[[], object]) -> Iterator[None]:
-        """``action`` is what stops the run that the block waits for."""
+        """A context in which ``stop`` calls ``action``, which stops the run that the block waits for."""
         self._actions.append(action)
         if self.requested:
             action()
@@ -106,9 +106,9 @@ def run_isolated(cell: Cell, entry: CellRecord, place: Path, stopper: Stopper | 
 
 
 def kill_marked(place: str) -> None:
-    """Kill what a run started when the supervisor that would have done so is gone itself (killed, say)."""
+    """Kill what a run started, when the supervisor that should have done so was killed itself."""
     mark = f"{MARK}={place}".encode()
-    for _ in range(3):  # one that was just starting another may be missed once
+    for _ in range(3):  # a process that is just being started may be missed once
         for environment in Path("/proc").glob("[0-9]*/environ"):
             with contextlib.suppress(OSError):
                 if mark in environment.read_bytes().split(b"\0"):

@@ -1,4 +1,4 @@
-"""Peak memory and processor time of this process and all it starts, sampled by a thread."""
+"""Measure peak memory and processor time of this process and all it starts, by a thread that samples them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ PERIOD_S = 0.1
 
 
 class Meter:
-    """Use as a context manager around the work. ``peak_rss_bytes`` is of this process and its children together.
+    """A context manager around the work. ``peak_rss_bytes`` counts this process and its children together.
 
-    Children are sampled every 0.1 s; of this process the kernel's own high-water mark counts too, so a
-    short peak of it is not missed.
+    Children are sampled every 0.1 s; for this process the kernel's high-water mark counts too, so that a short peak is
+    not missed.
     """
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class Meter:
 
 
 def _reset_high_water_mark() -> None:
-    # Where that is not possible the mark covers the whole life of the process.
+    # where that is not possible the mark covers the whole life of the process
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 

@@ -1,4 +1,4 @@
-"""Whom a run tells how far it is: a progress bar, a log, or nobody."""
+"""The interface through which a run reports its progress."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 class Observer:
-    """Called from the run's own thread, between frames; never counted in the method's time. Does nothing."""
+    """Is told how far a run is, in the run's thread, between frames; its time never counts. This one does nothing."""
 
     def stage(self, text: str) -> None:
-        """What happens now: "setting up", "tracking", "finishing", "evaluating"."""
+        """A stage begins: "setting up", "tracking", "finishing", "evaluating" or "writing"."""
 
     def log(self, line: str) -> None:
         """A line was added to log.txt."""

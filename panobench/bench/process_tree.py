@@ -1,7 +1,7 @@
-"""Memory, processor time and members of a process tree, straight from /proc.
+"""Read memory, processor time and members of a process tree from /proc.
 
-psutil builds the tree from all processes of the machine, 7 to 12 ms for a hundred of them, which would disturb what
-is measured; /proc's own lists of children take 0.2 ms. psutil is used where those are missing.
+psutil builds the tree from all processes of the machine. That takes 7 to 12 ms for a hundred of them, which would
+disturb what is measured; /proc's lists of children take 0.2 ms. psutil is used where those lists are missing.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def cpu_seconds(pid: int) -> float:
     """Processor time of one process and of its children that ended and were waited for; 0 if it is gone."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
-            # the name, in parentheses, may hold anything; fields count from behind it
+            # the name, in parentheses, may hold anything; the other fields follow it
             fields = file.read().rpartition(b")")[2].split()
         return sum(map(int, fields[11:15])) / _TICK
     except (OSError, IndexError, ValueError):

@@ -1,4 +1,4 @@
-"""Where a run came from: versions, commit, machine. Everything here is cheap and never raises."""
+"""Record where a run came from: versions, commit, machine. Everything here is cheap and never raises."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import psutil
 import panobench
 from panobench.bench.fields import JsonRecord
 
-#: Variables that change how fast or with how many threads numerical code runs.
+#: Environment variables that set the number of threads of numerical code, or the GPU.
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -59,7 +59,7 @@ class ProvenanceRecord(JsonRecord):
 
 
 def provenance() -> ProvenanceRecord:
-    """Of what runs now: versions, commit, packages, processor, load. The data and the command are left open."""
+    """The provenance of what runs now. Its ``dataset`` and ``command`` are left empty."""
     return ProvenanceRecord(
         panobench=panobench.__version__,
         commit=commit(),

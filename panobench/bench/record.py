@@ -1,4 +1,4 @@
-"""run.json: what is known about a run when it is over. Written and read through one dataclass, ``RunRecord``.
+"""run.json holds what is known about a run when it is over. It is written and read through ``RunRecord``.
 
 A new fact about runs is a field of ``RunRecord`` or one of its parts, with a default that stands for runs stored before
 it existed; ``optional()`` fields are left out of the file where they are None.
@@ -20,7 +20,7 @@ from panobench.types import RunStatus
 from panobench.verdict.base import Verdict
 from panobench.writing import writing
 
-#: Metrics that others rely on: there in every run, null where not measured.
+#: Metrics that every run.json has, null where they were not measured, because other tools rely on them.
 METRIC_NAMES = (
     "ate_rmse_m",
     "ate_keyframes_rmse_m",
@@ -38,10 +38,10 @@ METRIC_NAMES = (
 
 @dataclass
 class SpecRecord(JsonRecord):
-    """What was run: the run options as they took effect, and what they came to.
+    """What was run: the run options as they took effect, the method's configuration, and the camera of its images.
 
-    In the file the options stand beside the rest, each under its name; here they are in ``other``. sequence and depth
-    are those that were used. config: all options of the method. camera_model: the camera of its images.
+    In the file the options stand beside ``config`` and ``camera_model``; here they are in ``other``, for ``option`` to
+    look up. ``sequence`` and ``depth`` are those that were used, not those that were asked for.
     """
 
     config: dict[str, Any] = field(default_factory=dict)
@@ -49,12 +49,12 @@ class SpecRecord(JsonRecord):
 
     @classmethod
     def of(cls, request: RunRequest, **used: Any) -> SpecRecord:
-        """Of a request; ``used`` are further fields, and options that came out otherwise than asked for."""
+        """The record of a request. used: further fields, and options that took another effect than asked for."""
         own = {k: used.pop(k) for k in ("config", "camera_model") if k in used}
         return cls(**own, other={**request.to_dict(), **used})
 
     def to_dict(self) -> dict[str, Any]:
-        """The options first."""
+        """As ``JsonRecord.to_dict``, with the options first."""
         return {**self.other, "config": self.config, "camera_model": self.camera_model}
 
     def option(self, name: str) -> Any:
@@ -89,7 +89,7 @@ class SpecRecord(JsonRecord):
         return None if value is None else int(value)
 
     def variants(self) -> dict[str, str]:
-        """As text, the options that may set runs of one method on one sequence apart; without those not given."""
+        """The options that may tell apart runs of one method on one sequence, as text; only those that were given."""
         values = {option.name: self.option(option.name) for option in run_options() if option.label is not None}
         return {name: value_text(value) for name, value in values.items() if value not in (None, "", {}, [])}
 
@@ -108,7 +108,7 @@ class MethodRecord(JsonRecord):
 
 @dataclass
 class TimingRecord(JsonRecord):
-    """Seconds, frames per second, and resources of the method alone; see docs/protocol.md. None: not measured."""
+    """Times, rates and resources of the method alone; see docs/protocol.md. None: it was not measured."""
 
     fps: float | None = None
     tracking_fps: float | None = None
@@ -124,7 +124,7 @@ class TimingRecord(JsonRecord):
 
 @dataclass
 class FramesRecord(JsonRecord):
-    """How many frames were given to the method, were planned to be, have a pose, and were held out of the map."""
+    """Numbers of frames: given to the method, planned, with a pose, and held out of the map."""
 
     given: int = 0
     planned: int | None = None
@@ -137,8 +137,8 @@ class DepthRecord(JsonRecord):
     """Where the map's first depth came from.
 
     source: the estimator, "input" for depth given with every frame. oracle: the dataset's own depth was used.
-    poses_given: the method was given true poses. frame, ok, message, range: of the estimate; range are the 2nd and
-    98th percentile.
+    poses_given: the method was given true poses. frame, ok and message are those of the estimate; range is the 2nd and
+    98th percentile of its depth.
     """
 
     source: str | None = None
@@ -183,7 +183,7 @@ class VerdictRecord(JsonRecord):
 
 @dataclass
 class CellRecord(JsonRecord):
-    """The cell of a suite that a run belongs to. key: hash of all that its result depends on; identity: of the cell."""
+    """The cell of a suite. key: hash of all that its result depends on. identity: hash of the cell."""
 
     suite: str = ""
     key: str = ""
@@ -208,7 +208,7 @@ class ImportedRecord(JsonRecord):
 
 @dataclass
 class RescoredRecord(JsonRecord):
-    """Protocol and status that a run had when it was made."""
+    """The protocol and status that a run had before it was scored again."""
 
     protocol: str = ""
     status: str = ""
@@ -262,7 +262,7 @@ class RunRecord(JsonRecord):
 
 
 def empty_record(request: RunRequest, status: RunStatus, message: str) -> RunRecord:
-    """Of a run that has no results."""
+    """The record of a run that has no results."""
     return RunRecord(
         status=status.value,
         message=" ".join(message.split()),

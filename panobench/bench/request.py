@@ -1,4 +1,4 @@
-"""What one run is asked to do: plain values, the same from the command line, a suite cell or a worker's file.
+"""The request for one run: plain values, whether they come from the command line, a suite or a worker's file.
 
 ``RunRequest`` is the one list of run options. Each field says by ``run_option`` what the rest of panobench has to know
 about it: the command line, suites, studies, caches, comparisons, labels and reports derive from ``run_options()``.

@@ -1,7 +1,7 @@
 """Score stored runs again, under the current protocol or another one, from their files alone.
 
-Trajectory numbers and the status are computed anew. Rendering numbers need the map's renderer and stay as they
-were measured; so do times.
+Trajectory metrics and the status are computed again. Rendering metrics, which need the renderer, and times stay as
+they were measured.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _JUDGED = (RunStatus.OK.value, RunStatus.LOST.value)
 
 @dataclass(frozen=True)
 class Protocol:
-    """What may differ from the current protocol. skip_s: leave out the first seconds of the trajectory."""
+    """A protocol, by what differs from the current one. skip_s: seconds left out at the start of the trajectory."""
 
     alignment: Alignment = "auto"
     min_tracked: float = MIN_TRACKED
@@ -49,7 +49,7 @@ class Protocol:
 
     @property
     def name(self) -> str:
-        """The version, with whatever differs from it."""
+        """The current version, and what differs from it: "1.3+align=se3"."""
         default = Protocol()
         changed = [
             f"{key}={getattr(self, key):g}" if key != "alignment" else f"align={self.alignment}"
@@ -60,7 +60,7 @@ class Protocol:
 
     @classmethod
     def of(cls, record: RunRecord) -> Protocol:
-        """The protocol that a run was scored under, from its name; what the name does not say is as it is now."""
+        """The protocol whose name the record states; what the name does not say is taken from the current one."""
         version, *changed = record.protocol.split("+")
         given = dict(word.partition("=")[::2] for word in changed)
         # protocol 1.0 kept the scale of methods that say it is metric

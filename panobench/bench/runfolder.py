@@ -1,4 +1,4 @@
-"""Run folders: written beside their place and renamed into it, so that one is there whole or not at all."""
+"""Run folders are written beside their place and renamed into it, so that each is there whole or not at all."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ RUN_JSON, LOG, TRAJECTORY, GROUNDTRUTH, FRAMES, MAP = (
     "map.ply",
 )
 RENDERS = "renders"
-#: A larger run.json is not one of ours.
+#: A larger run.json was not written by panobench.
 MAX_RUN_JSON_BYTES = 64 << 20
 
 
 class PendingRun:
     """A run folder in the making: write below ``path``, then ``publish``.
 
-    As a context manager it is discarded when the block ends by an error. Whatever is too large for the disk raises
-    OutputError, also from within the block, where any code may have been the one that met it.
+    As a context manager it discards the folder when the block ends by an error. A full disk becomes OutputError, no
+    matter which code in the block met it.
     """
 
     def __init__(self, target: Path, force: bool = False) -> None:
@@ -87,7 +87,7 @@ class PendingRun:
 def check_free(target: Path, force: bool) -> None:
     """Raise UsageError unless a run may be put at ``target`` (free, empty, or a run to be replaced).
 
-    OutputError when it cannot be looked at.
+    Raises OutputError when it cannot be read.
     """
     with writing(target):
         if not target.exists():

@@ -1,4 +1,4 @@
-"""One run: open, track, evaluate, write the folder. The method is timed; reading, checking and scoring are not."""
+"""Do one run: set up, track, evaluate, write the folder. Only the method is timed, not reading, checking or scoring."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class RunLog:
     """log.txt: one line per event with the seconds since the run began."""
 
     def __init__(self, file: TextIO, heard: Callable[[str], None] | None = None) -> None:
-        """``heard`` gets each line too, as it is written."""
+        """heard: is called with each line as it is written."""
         self._file, self._heard, self._begin = file, heard, time.perf_counter()
 
     def __call__(self, line: str) -> None:
@@ -50,7 +50,7 @@ class RunLog:
 
 
 def default_folder(request: RunRequest, base: Path = Path("runs")) -> Path:
-    """runs/METHOD-CAMERA-SEQUENCE-TIME, with a number behind it when taken."""
+    """A free folder runs/METHOD-CAMERA-DATASET-SEQUENCE-TIME, with a number at its end where that is taken."""
     words = [request.method, request.camera, request.dataset, request.sequence or ""]
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
     name = "-".join("".join(c if c.isalnum() or c in "._" else "_" for c in w).strip(".") for w in words if w)
@@ -207,7 +207,7 @@ def _verdict(
 
 
 def _seed(seed: int) -> None:
-    """For code that draws from the global generators in spite of the contract."""
+    """Seed the global generators, for methods that use them in spite of the contract."""
     random.seed(seed)
     np.random.seed(seed % 2**32)  # noqa: NPY002
     torch = sys.modules.get("torch")
@@ -216,7 +216,7 @@ def _seed(seed: int) -> None:
 
 
 def _call_hooks(name: str, log: RunLog | None, **arguments: Any) -> None:
-    """Lifecycle hooks of plugins: one that fails is reported and does not end the run."""
+    """Call a lifecycle hook of all plugins. One that fails is reported and does not end the run."""
     try:
         getattr(registry().manager.hook, name)(**arguments)
     except Exception as error:

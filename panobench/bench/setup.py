@@ -1,6 +1,6 @@
-"""Names into objects: the method with its options, the sequence through the camera asked for, the depth estimator.
+"""Set up a run: make the method with its options, the sequence through its camera, and the depth estimator.
 
-All of it happens before anything is written; every mistake is a PanobenchError.
+This happens before anything is written; every mistake of the user is a PanobenchError.
 """
 
 from __future__ import annotations
@@ -55,7 +55,10 @@ class RunSetup:
 
 
 def set_up_run(request: RunRequest) -> RunSetup:
-    """Raises UnknownNameError, UsageError, UnsupportedError, UnavailableError or DatasetError."""
+    """Make everything that ``request`` names.
+
+    Raises UnknownNameError, UsageError, UnsupportedError, UnavailableError or DatasetError.
+    """
     spec = method_spec(request)
     config = method_config(spec, request.preset, request.settings)
     depth = open_depth(request.depth)
@@ -66,7 +69,7 @@ def set_up_run(request: RunRequest) -> RunSetup:
     sequence = open_input(request, spec)
     if "imu" in spec.needs and sequence.imu is None:
         raise UnsupportedError(f"method '{spec.name}' needs an IMU; sequence '{sequence.name}' has none")
-    own_poses = bool(getattr(config, "trajectory", ""))  # the method reads them from a file the user names
+    own_poses = bool(getattr(config, "trajectory", ""))  # the method reads poses from a file that the user names
     if "poses" in spec.needs and sequence.groundtruth is None and not own_poses:
         raise UnsupportedError(f"method '{spec.name}' needs given poses; sequence '{sequence.name}' has none")
     origin = registry().entries[MethodSpec.kind][spec.name].origin
@@ -120,7 +123,7 @@ def _through_camera(request: RunRequest) -> FrameSequence:
 
     A generator renders for a camera of which the conversion would have to enlarge the images.
     """
-    # A kind of camera alone may be the dataset's own; anything more has to be made.
+    # the name of a camera model alone may mean the dataset's own camera; anything more is a conversion
     kind = registry().get(DatasetSpec, request.dataset).camera
     if (
         request.fov is None
@@ -157,12 +160,12 @@ def open_depth(option: str | None) -> DepthChoice | None:
         raise UsageError(f"--depth {option}: '{name}' takes no argument")
     choice = DepthChoice(name, argument, spec, option is not None)
     if option is not None:
-        spec.load()(argument)  # a wrong argument is said now, not after the first frames
+        spec.load()(argument)  # this refuses a wrong argument now, not after the first frames
     return choice
 
 
 def oracle_depth(setup: RunSetup) -> Callable[[int], Any]:
-    """Depth handed over with frame i: all there is for methods that need it, the first for an oracle, else none."""
+    """Depth to hand over with frame i: all of it to methods that need depth, the first one for an oracle, else none."""
     sequence = setup.sequence
     if "depth" in setup.spec.needs:
         return sequence.depth

@@ -1,7 +1,7 @@
-"""Medians, intervals and paired tests for results of repeats and sequences. Everything is exact or seeded.
+"""Medians, intervals and paired tests over repeats and sequences. Everything is exact or seeded.
 
-A failed run has no number; it counts as worse than any number (``inf`` for what should be low, ``-inf`` for what
-should be high), never as missing.
+A failed run has no number. It counts as worse than any number (``inf`` where lower is better, ``-inf`` where higher is
+better), never as missing.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEVEL = 0.95
-#: p values below this are marked.
+#: Differences with a smaller p value are marked as significant.
 ALPHA = 0.05
 _DRAWS = 4000
 
@@ -30,7 +30,7 @@ RANKING_RULE = (
 
 @dataclass(frozen=True)
 class Summary:
-    """Of repeats: median, quartiles and 95% interval of the median (None under three numbers), counts."""
+    """A summary of repeats: median, quartiles, 95% interval of the median (None under three numbers), and counts."""
 
     median: float
     low: float
@@ -45,7 +45,7 @@ class Summary:
 
 
 def summarise(values: Sequence[float | None], *, higher_is_better: bool = False, seed: int = 0) -> Summary | None:
-    """Of repeats, None being a failed one; None for no repeats. The median is infinite when failures decide it."""
+    """Summarise repeats (None: a failure). The median is infinite if failures decide it. None without repeats."""
     if not values:
         return None
     worst = -math.inf if higher_is_better else math.inf
@@ -117,7 +117,7 @@ def holm(p: Sequence[float]) -> list[float]:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A method's place: sequences succeeded, mean over the common ones, p against the best (None for the best)."""
+    """A method's place in the order: sequences it succeeded on, mean over the common ones, p value against the best."""
 
     name: str
     succeeded: int
@@ -126,7 +126,7 @@ class Ranked:
 
     @property
     def differs(self) -> bool:
-        """Significantly from the best."""
+        """Whether it differs significantly from the best."""
         return self.p is not None and self.p < ALPHA
 
 
@@ -156,7 +156,7 @@ def rank(table: dict[str, Sequence[float | None]], *, higher_is_better: bool = F
 
 
 def sequence_mean(values: Sequence[float], *, higher_is_better: bool = False) -> float | None:
-    """Over sequences: geometric for errors, arithmetic for scores (or errors of zero); None without values."""
+    """The mean over sequences: geometric for errors above zero, else arithmetic; None without values."""
     if not values:
         return None
     if higher_is_better or min(values) <= 0:
@@ -171,14 +171,14 @@ def _numbers(values: Sequence[float | None], higher_is_better: bool) -> list[flo
 
 @dataclass(frozen=True)
 class Change:
-    """From a base to a new version: the estimate, its 95% interval (None: too little data), and sequences used."""
+    """A change from a base to a new version: its estimate, 95% interval (None: too little data), and sequences used."""
 
     value: float
     interval: tuple[float, float] | None
     sequences: int
 
     def beyond_noise(self) -> bool:
-        """The interval excludes no change; True without an interval, as then there is only the number."""
+        """Whether the interval excludes zero; True without an interval, as there is nothing to judge noise by."""
         return self.interval is None or self.interval[0] > 0 or self.interval[1] < 0
 
 

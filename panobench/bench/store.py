@@ -1,4 +1,4 @@
-"""Where a suite keeps its runs: one folder per cell, safe against kill -9, full disks and a second suite.
+"""The store of a suite's runs: one folder per cell, safe against kill -9, full disks and a second suite.
 
 Layout below the store's root:
   runs/SLUG/          the cells' run folders, each renamed into place when it is complete
@@ -26,13 +26,13 @@ from panobench.errors import InputError
 from panobench.writing import writing
 
 RUNS, QUARANTINE, SUPERSEDED, LOCKS, WORK = "runs", "_quarantine", "_superseded", ".locks", ".work"
-#: Keep that many replaced results of one cell.
+#: How many replaced results of one cell are kept.
 _KEEP = 3
 
 
 @dataclass(frozen=True)
 class Stored:
-    """A readable run folder of the store; ``stamp`` tells it from another one in the same place."""
+    """A readable run folder of the store. stamp: differs when the folder is replaced by another in the same place."""
 
     folder: Path
     record: RunRecord
@@ -68,14 +68,14 @@ class Quarantined:
 
 
 class Store:
-    """All operations name a cell by its slug and are safe to call from several processes."""
+    """A store. Its operations name a cell by its slug, and several processes may call them at once."""
 
     def __init__(self, root: Path) -> None:
-        """Touches nothing; folders are made when the first cell is locked."""
+        """Folders are made when the first cell is locked, not here."""
         self.root = Path(os.path.abspath(root))
 
     def require(self) -> Store:
-        """Raises InputError when this is no store."""
+        """Return the store. Raises InputError when there is none."""
         if not (self.root / RUNS).is_dir():
             raise InputError("not a suite's store: it has no runs/", self.root)
         return self
@@ -95,7 +95,7 @@ class Store:
         return Stored(folder, record, stamp)
 
     def check(self, cell: Cell, move: bool = True) -> tuple[Stored | None, Quarantined | None]:
-        """The stored result; a damaged one is reported, and moved to the quarantine if ``move``."""
+        """The stored result, or the damaged one, which is moved to the quarantine if ``move``."""
         try:
             return self.find(cell), None
         except InputError as error:
@@ -121,7 +121,7 @@ class Store:
         return Quarantined(target, reason)
 
     def quarantined(self) -> list[Quarantined]:
-        """What lies in the quarantine."""
+        """Everything in the quarantine."""
         found = []
         for folder in sorted((self.root / QUARANTINE).glob("*")):
             note = folder / "quarantine.txt"

@@ -1,6 +1,6 @@
-"""Run a suite: plan its cells, see which are done, run the others, end each with a status.
+"""Run a suite: plan its cells, find which are done, run the others, and end each with a status.
 
-Any number of suites may work on one store at once: each cell is run by the one that holds its lock.
+Any number of suites may work on one store at once: the one that holds a cell's lock runs it.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from panobench.errors import UnknownNameError
 from panobench.types import RunStatus
 from panobench.writing import writing
 
-#: What `--retry failed` means: everything that is no result of the method on this data.
+#: The statuses that `--retry failed` means: none of them is a result of the method on this data.
 FAILED = ("timeout", "out-of-memory", "crashed", "unsupported", "unavailable", "interrupted")
-#: A cell whose watching process was lost is tried that often before it counts as interrupted.
+#: How often a cell is tried when the process that watches over it is lost; then it counts as interrupted.
 ATTEMPTS = 3
 
 
@@ -54,7 +54,7 @@ class Plan:
 
 
 class Watcher(Protocol):
-    """Is told how the suite goes, from the threads that run cells."""
+    """Is told about every cell, from the threads that run cells."""
 
     def started(self, planned: Planned) -> None: ...
 
@@ -91,7 +91,7 @@ def parse_retry(words: Iterable[str]) -> frozenset[str]:
 def make_plan(
     cells: Iterable[Cell], store: Store, retry: frozenset[str] = frozenset(), move_damaged: bool = True
 ) -> Plan:
-    """Where each cell stands. Damaged results are moved to the quarantine and their cells planned again."""
+    """Find what is left to do. Damaged results are moved to the quarantine, and their cells planned again."""
     planner, plan = Planner(), Plan([])
     for cell in cells:
         planned = planner.plan(cell)
@@ -126,7 +126,7 @@ def why_run(planned: Planned, stored: Stored | None, retry: frozenset[str]) -> s
 
 
 def entry(planned: Planned, suite: str, attempt: int = 1) -> CellRecord:
-    """What the record of its run says about the cell."""
+    """The cell's entry in the record of its run."""
     cell = planned.cell
     return CellRecord(suite, planned.key, cell.identity, cell.label, cell.repeat, asdict(cell.limits), attempt)
 
@@ -138,9 +138,9 @@ def compute(
     stopper: Stopper,
     run: Callable[[Cell, CellRecord, Path, Stopper], Path] | None = None,
 ) -> Path:
-    """The cell's run folder, somewhere below ``place``: by running it, or by writing down why it cannot run.
+    """Run the cell, or write down why it cannot run. Returns its run folder, below ``place``.
 
-    run: where and how; ``run_isolated`` on this machine by default.
+    run: what runs it; by default ``run_isolated`` on this machine.
     """
     run = run or run_isolated
     if planned.status is not None:
@@ -165,7 +165,7 @@ def compute(
 
 @dataclass
 class SuiteRunner:
-    """Runs what a plan leaves to do. ``compute`` may run elsewhere; locks and the store stay with this process."""
+    """Runs what a plan leaves to do. ``compute`` may work on other machines; this process owns locks and store."""
 
     store: Store
     suite: str
@@ -174,16 +174,16 @@ class SuiteRunner:
     compute: Callable[[Planned, str, Path, Stopper], Path] = compute
 
     def run(self, plan: Plan, jobs: int = 1) -> None:
-        """Run all cells to do, ``jobs`` at a time; first those nobody else works on, then wait for the others'.
+        """Run all cells to do, ``jobs`` at a time: first those that no other suite works on, then the others.
 
-        Raises OutputError when the store cannot be written: everything finished stays, the rest is not marked.
+        Raises OutputError when the store cannot be written. Finished cells stay, the others are as before.
         """
         busy = self._pass(plan.todo, jobs, wait=False)
         if busy and not self.stopper.requested:
             self._pass(busy, jobs, wait=True)
 
     def _pass(self, rows: Sequence[Row], jobs: int, wait: bool) -> list[Row]:
-        """Returns the cells that another process was working on."""
+        """Run ``rows`` and return the cells that another process was working on."""
         with ThreadPoolExecutor(jobs, thread_name_prefix="cell") as pool:
             futures = {pool.submit(self.run_cell, row, wait): row for row in rows}
             try:
@@ -198,7 +198,7 @@ class SuiteRunner:
         return [row for future, row in futures.items() if future.result() == "busy"]
 
     def run_cell(self, row: Row, wait: bool = False) -> str:
-        """ "busy" if another process has the cell, "skipped" after a stop, else "done"."""
+        """Run one cell: "busy" if another process has it, "skipped" after a stop, else "done"."""
         if self.stopper.requested:
             return "skipped"
         planned = row.planned
@@ -218,7 +218,7 @@ class SuiteRunner:
 
 
 def counts(rows: Iterable[Mapping[str, Any]]) -> dict[str, int]:
-    """status -> number, in the order statuses are defined."""
+    """The number of rows by status, in the order in which statuses are defined."""
     found: dict[str, int] = {}
     for row in rows:
         found[row["status"]] = found.get(row["status"], 0) + 1

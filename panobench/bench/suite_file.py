@@ -1,6 +1,6 @@
-"""Suite files: a YAML matrix of methods, cameras, datasets and seeds, expanded into cells.
+"""Read suite files: a YAML matrix of methods, cameras, datasets and seeds is expanded into cells.
 
-Every mistake in one is an InputError or UnknownNameError that names the file and the entry.
+Every mistake in a file is an InputError or UnknownNameError that names the file and the entry.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LIMITS = tuple(f.name for f in fields(Limits))
 
 @dataclass(frozen=True)
 class Suite:
-    """A suite's name and its cells in the order of the file. notes: what could not be listed, one line each."""
+    """A suite's name and its cells in the file's order. notes: a line for each dataset that could not be listed."""
 
     name: str
     cells: tuple[Cell, ...]
@@ -99,7 +99,7 @@ def _cell(
 
 
 def _sequences(dataset: Mapping[str, Any], path: Path, notes: list[str]) -> Iterator[str | None]:
-    """The sequences named, or all there are; a dataset that is not there keeps one row, which will say so."""
+    """The sequences that are named, or all there are. A dataset that is missing keeps one row, which will say so."""
     chosen = dataset.get("sequences")
     if chosen == "all":
         from panobench.datasets.open import open_dataset
@@ -128,12 +128,12 @@ def _options(value: Any, path: Path) -> dict[str, Any]:
 
 
 def _run_options() -> dict[str, RunOption]:
-    """What may stand under ``options`` beside the limits: what has no key of its own."""
+    """The run options that may stand under ``options``: those that have no key of their own."""
     return {option.name: option for option in run_options() if not option.suite_key}
 
 
 def _entry(value: Any, keys: tuple[str, ...], path: Path, where: str) -> dict[str, Any]:
-    """A method or dataset: its name alone, or a mapping with its name."""
+    """A method or dataset as a mapping; the file may give its name alone."""
     entry = {"name": value} if isinstance(value, str) else _mapping(value, path, f"an entry of {where}")
     _known(entry, keys, f"key of {where}")
     if "name" not in entry:

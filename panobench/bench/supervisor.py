@@ -1,4 +1,4 @@
-"""Runs one command with limits and leaves nothing of it behind. A process of its own: ``python -m ... JOB.json``.
+"""Run one command with limits and leave no process of it behind: ``python -m panobench.bench.supervisor JOB.json``.
 
 The supervisor is the "child subreaper" of all that the command starts, so that descendants which detach (new
 sessions, double forks) stay its own and are found and killed. It kills everything and ends when its parent dies.
@@ -51,7 +51,7 @@ class Stopped(Exception):
 
 
 def supervise(job: dict[str, Any]) -> Result:
-    """Run ``job`` to its end, whichever that is. Nothing it started is alive afterwards."""
+    """Run ``job`` to its end. No process that it started is alive afterwards."""
     result = Result()
     _prctl(_PR_SET_CHILD_SUBREAPER, 1)
     kills = _oom_kills()
@@ -72,7 +72,7 @@ def supervise(job: dict[str, Any]) -> Result:
             result.end = "stopped"
             _ask_to_stop(child, float(job.get("grace_s", 5.0)))
         finally:
-            # no signal may come between here and the end
+            # ignore signals from here to the end
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGINT})
             kill_descendants()
     if result.returncode is None:
@@ -85,7 +85,7 @@ def supervise(job: dict[str, Any]) -> Result:
 
 
 def _in_child() -> None:
-    """In the command's process, before it starts: the kernel kills it first when memory is short."""
+    """Prepare the command's process, before the command starts: the kernel kills it first when memory is short."""
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("1000")
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -131,7 +131,7 @@ def _size(path: str) -> int:
 
 
 def _ask_to_stop(child: subprocess.Popen[bytes], grace_s: float) -> None:
-    """Ctrl-C for the command itself, twice if need be; it may still write what it has."""
+    """Send Ctrl-C to the command, twice if need be, so that it can write what it has."""
     for _ in range(2):
         with contextlib.suppress(subprocess.TimeoutExpired, Stopped):
             child.send_signal(signal.SIGINT)
@@ -188,7 +188,7 @@ def _nvidia_smi() -> str:
 
 
 def gpu_bytes(table: str, pids: set[int]) -> int:
-    """Sum over the processes of nvidia-smi's "pid, MiB" lines."""
+    """GPU memory of the processes, from nvidia-smi's "pid, MiB" lines."""
     total = 0
     for line in table.splitlines():
         pid, _, amount = line.partition(",")
@@ -205,13 +205,13 @@ def main() -> None:
     job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _stop)
-    # The parent may have died before this line: then there is nobody to wait for.
+    # the parent may have died before this line
     _prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     if os.getppid() != job["parent"]:
         return
     try:
         result = supervise(job)
-    except Stopped:  # before the command was started
+    except Stopped:  # it came before the command was started
         result = Result(end="stopped")
     target = Path(job["result"])
     part = target.with_suffix(".part")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, markdown: bool = False) -> str:
-    """Columns as wide as their widest cell; the first to the left, the others to the right."""
+    """A table whose columns are as wide as their widest cell; the first is aligned left, the others right."""
     if markdown:
         lines = [_markdown_row(header), "|" + "|".join([" --- "] + [" ---: "] * (len(header) - 1)) + "|"]
         return "\n".join(lines + [_markdown_row(row) for row in rows])

@@ -1,4 +1,4 @@
-"""Feed frames to a method, time it, check every answer. Ground truth is not in sight here."""
+"""Give a method its frames, time it, and check every answer. Nothing here sees ground truth."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ RIGID_TOLERANCE = 1e-3
 
 @dataclass
 class Tracked:
-    """What came out. status OK means the method went through; whether it tracked enough is judged later.
+    """What a method returned. Status OK means that it went through; whether it tracked enough is judged later.
 
     given: frames handed over. latency: seconds per frame given (batch: the whole run divided by the frames).
     live: poses as ``track`` returned them. start_s, finish_s: seconds in ``start`` and ``finish``.
-    wall_s: from before ``start`` to after ``finish``, reading images included.
+    wall_s: seconds from before ``start`` to after ``finish``, with reading images.
     """
 
     status: RunStatus = RunStatus.OK
@@ -55,7 +55,7 @@ def track_online(
     observer: Observer,
     frame_done: FrameDone,
 ) -> Tracked:
-    """Run an online method. What the data or the user did wrong is raised; what the method did wrong is the result."""
+    """Run an online method. Errors of data or user are raised; those of the method become the result's status."""
     result = Tracked()
     read = FrameReader(sequence)
     begin = time.perf_counter()
@@ -99,7 +99,7 @@ def track_online(
 def track_batch(
     method: BatchMethod, sequence: FrameSequence, holdout: frozenset[int], context: MethodContext, observer: Observer
 ) -> Tracked:
-    """Run a batch method. Errors as in ``track_online``."""
+    """Run a batch method. Errors are treated as in ``track_online``."""
     result = Tracked()
     blind = BlindSequence(sequence, holdout, context.imu)
     where, busy = "set_up()", 0.0
@@ -188,7 +188,7 @@ def frame_indices(estimate: Estimate, sequence: FrameSequence) -> list[int]:
 
 
 def _slack(sequence: FrameSequence) -> float:
-    """Times closer than this are the same frame: a microsecond, less where frames are closer."""
+    """The tolerance between times of the same frame: a microsecond, or less where frames are closer."""
     step = float(np.diff(sequence.times).min()) if len(sequence) > 1 else 1.0
     return min(1e-6, step / 4)
 

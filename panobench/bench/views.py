@@ -1,4 +1,4 @@
-"""What the runner puts between a dataset and a method: the frames chosen, and a view without any truth."""
+"""What the runner puts between a dataset and a method: the chosen frames, without ground truth."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def held_out(n: int, holdout: int) -> list[int]:
 
 
 class FrameReader:
-    """Frames as a method gets them: checked against the camera, with an image of their own, black under the mask.
+    """Reads frames for a method: checks them against the camera, copies the image, and blackens what the mask hides.
 
-    What a mask hides (a lens's rim, the operator) thereby cannot change a result, whatever a method does at its edge.
+    What a mask hides, such as a lens's rim or the operator, cannot change a result then.
     """
 
     def __init__(self, sequence: FrameSequence) -> None:
@@ -78,7 +78,7 @@ class FrameReader:
         self._hidden = None if mask is None else ~mask
 
     def __call__(self, index: int, mappable: bool = True, depth: NDArray[np.float32] | None = None) -> Frame:
-        """Raises DatasetError naming the frame."""
+        """The frame at ``index``. Raises DatasetError naming the frame."""
         sequence = self._sequence
         image = sequence.image(index)
         expected = (sequence.camera.height, sequence.camera.width, 3)
@@ -94,7 +94,7 @@ class FrameReader:
 
 
 class BlindSequence(FrameSequence):
-    """What a batch method gets. The sequence itself is only reachable by the function that reads frames."""
+    """The sequence as a batch method gets it, without ground truth: only a function reaches the original."""
 
     def __init__(self, sequence: FrameSequence, holdout: frozenset[int] = frozenset(), imu: Imu | None = None) -> None:
         self.name, self.dataset, self.camera = sequence.name, sequence.dataset, sequence.camera

@@ -1,7 +1,7 @@
 """The process in which an isolated run happens: ``python -m panobench.bench.worker CELL.json OUT``.
 
-Writes a run folder OUT, also for what the user can mend (then without frames). Exit codes: 0 a run folder is there,
-75 the disk is full; anything else is a crash.
+It writes a run folder OUT, without frames if the run cannot start for a reason that the user can mend. Exit codes: 0 a
+run folder is there, 75 the disk is full; anything else is a crash.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def work(job: Path, out: Path) -> int:
         except PanobenchError as error:
             if is_disk_full(error):
                 return DISK_FULL
-            # As in planning: data that cannot be used are as much in the way as a missing package.
+            # as in planning, missing or broken data prevent a run as a missing package does
             status = RunStatus.UNAVAILABLE if isinstance(error, InputError) else RunStatus(error.run_status)
             write_failure(out, cell.request, status, str(error), log=str(error), cell=entry)
     except OSError as error:

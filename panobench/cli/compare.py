@@ -61,7 +61,7 @@ def _document(found: Any) -> dict[str, Any]:
 
 
 def _numbers(left: Any, right: Any) -> list[tuple[str, float | None, float | None]]:
-    """Medians over repeats of what is compared most."""
+    """Medians over repeats of the numbers that are compared most, as (name, base, new)."""
     import numpy as np
 
     keys = ("ate_rmse_m", "tracked", "psnr_db", "pano_psnr_db", "fps")

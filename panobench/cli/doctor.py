@@ -1,4 +1,4 @@
-"""`panobench doctor`: can a method (or anything else that is registered) run here, and if not, what is missing.
+"""`panobench doctor` says whether a method, or anything else that is registered, can run here, and what is missing.
 
 Exit codes: 0 it can run here, 1 it cannot, 2 no such name.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from panobench.external.findings import Finding
 
 app = typer.Typer()
-#: Where a name is looked up first.
+#: Kinds in the order in which a name is looked up.
 KINDS = ("method", "depth", "dataset", "metric", "camera", "study")
 
 
@@ -54,7 +54,7 @@ def doctor(
 
 
 def find_entry(known: Registry, name: str) -> Registered:
-    """Raises UnknownNameError; a plugin of that name that failed to import is named with its reason."""
+    """The entry of that name. Raises UnknownNameError; if a plugin of that name failed to import, it says why."""
     for kind in KINDS:
         found = known.entries.get(kind, {}).get(name)
         if found is not None:
@@ -66,7 +66,7 @@ def find_entry(known: Registry, name: str) -> Registered:
 
 
 def examine(spec: Spec) -> list[Finding]:
-    """Everything the spec asks for, in order; what depends on something missing is left out."""
+    """Check everything the spec asks for, in order, leaving out what depends on something that is missing."""
     from panobench.external.findings import Finding
 
     findings = []
@@ -78,7 +78,7 @@ def examine(spec: Spec) -> list[Finding]:
             diagnose = getattr(spec.load(), "diagnose", None)
             findings.append(Finding(True, "implementation", spec.implementation))
             findings += diagnose() if diagnose is not None else []
-        except Exception as error:  # a stranger's import may raise anything
+        except Exception as error:  # a plugin's import may raise anything
             reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
             findings.append(Finding(False, "implementation", reason, "reinstall the package it comes from"))
     if all(f.ok for f in findings):

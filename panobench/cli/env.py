@@ -1,4 +1,4 @@
-"""`panobench env`: what to paste into a bug report."""
+"""`panobench env` prints what to paste into a bug report."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def env(as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = F
 
 
 def environment() -> dict[str, Any]:
-    """Nothing here imports torch, numba or OpenCV, so that it works when those do not."""
+    """Everything about this installation, by heading. It works where torch, Numba or OpenCV cannot be imported."""
     import warnings
 
     from panobench.bench.provenance import provenance
@@ -59,7 +59,7 @@ def environment() -> dict[str, Any]:
 def _unavailable(spec: Any) -> str | None:
     try:
         reason: str | None = spec.unavailable()
-    except Exception as error:  # a stranger's probe may raise anything
+    except Exception as error:  # a plugin's probe may raise anything
         return f"its probe failed: {type(error).__name__}: {error}"
     return reason
 

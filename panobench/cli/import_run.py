@@ -1,4 +1,4 @@
-"""`panobench import`: score somebody's trajectory, and renders if there are any, as a run that is marked imported.
+"""`panobench import`: score a trajectory made elsewhere, with renders if there are any, as a run marked imported.
 
 Exit codes: 0 scored, 1 scored and judged lost, 2 bad input and nothing written.
 """

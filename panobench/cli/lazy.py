@@ -27,13 +27,13 @@ def load_command(name: str) -> Any:
 
 
 class LazyGroup(TyperGroup):
-    """Lists commands from the table alone; ``resolve_command`` imports the one that is wanted."""
+    """Lists commands from the table alone, and imports a command's module in ``resolve_command``."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """A stand-in that knows the command's help line: enough for listing and completing names."""
+        """A stand-in that knows the command's line of help, which is enough for listing and completing names."""
         if cmd_name not in COMMANDS:
             return None
         summary = COMMANDS[cmd_name][1]

@@ -1,4 +1,4 @@
-"""`panobench list`: everything that is registered, with its origin and whether it can run here; a method's options."""
+"""`panobench list` shows what is registered, its origin, whether it can run here, and a method's options."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from panobench.writing import json_ready
 
 app = typer.Typer()
 
-#: Words for a kind that people type -> the kind as specs name it.
+#: The kinds as specs name them, and their plural.
 KINDS = {
     "camera": "cameras",
     "dataset": "datasets",
@@ -103,7 +103,7 @@ def _option_lines(options: list[OptionDescription], width: int) -> Iterator[str]
         for o, default in members:
             about = [o.help, "" if o.type in _PLAIN_TYPES else o.type, "" if o.bounds == _USUAL_BOUNDS else o.bounds]
             text = f"  {o.name:{name_width}}  {default:{default_width}}  {'; '.join(a for a in about if a)}".rstrip()
-            if width - len(indent) < 30:  # too narrow for columns: the terminal wraps
+            if width - len(indent) < 30:  # the terminal is too narrow for columns, and wraps
                 yield text
             else:
                 yield from textwrap.wrap(text, width, subsequent_indent=indent, break_long_words=False) or [text]
@@ -137,14 +137,14 @@ def _shown(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, (tuple, list)):
         return ",".join(map(_shown, value)) or '""'
-    value = getattr(value, "value", value)  # of an enum
+    value = getattr(value, "value", value)  # the value of an enum
     return str(value).removesuffix(".0") if isinstance(value, float) else str(value) or '""'
 
 
 def _unavailable(entry: Registered) -> str | None:
     try:
         return entry.spec.unavailable()
-    except Exception as error:  # a stranger's probe may raise anything; the listing goes on
+    except Exception as error:  # a plugin's probe may raise anything; the listing goes on
         return f"its probe failed: {type(error).__name__}: {error}"
 
 

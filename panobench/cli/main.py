@@ -14,7 +14,7 @@ from panobench.errors import PanobenchError
 
 INTERRUPTED = 130
 
-# typer carries its own copy of click from 0.26 on; its base of "bad command line" is reached the same way in both.
+# typer brings its own copy of click from 0.26 on; this finds the class of command-line errors in both
 _CommandLineError: Any = typer.BadParameter.__mro__[2]
 
 app = typer.Typer(
@@ -43,7 +43,7 @@ def _options(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit. A PanobenchError is one line on stderr; anything else is a bug and is shown."""
+    """Run the command line and exit. A PanobenchError prints one line on stderr; other errors show a traceback."""
     sys.exit(run(arguments))
 
 
@@ -65,7 +65,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             return 2
         return _complain(error.format_message(), 2)
     except BrokenPipeError:
-        # The reader (head, less) has gone; nothing more can be said.
+        # the reader (head, less) has gone
         sys.stderr.close()
         return 0
 

@@ -1,4 +1,4 @@
-"""The progress bar of `panobench run`: frame, frames per second, error so far."""
+"""The progress bar of `panobench run` shows the frame, frames per second and the error so far."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _ERROR_PERIOD_S = 0.5
 
 
 class ProgressBar(Observer):
-    """On standard error; silent where that is no terminal."""
+    """A progress bar on standard error; silent where that is no terminal."""
 
     def __init__(self, title: str, console: Console | None = None, verbose: bool = False) -> None:
-        """``verbose``: also print the lines of log.txt, on a terminal or not."""
+        """verbose: also print the lines of log.txt, on a terminal or not."""
         self._console = console or Console(stderr=True)
         self._title, self._verbose = title, verbose
         self._progress = Progress(

@@ -73,7 +73,7 @@ def run(
 
 
 def run_with_progress(request: RunRequest, out: Path | None, force: bool, show: bool, verbose: bool = False) -> Path:
-    """Execute, with a progress bar on a terminal's standard error, and the log if ``verbose``."""
+    """Execute the request with a progress bar on standard error, if it is a terminal, and the log if ``verbose``."""
     from panobench.bench.runner import execute
 
     if not show:
@@ -89,7 +89,7 @@ def exit_code(status: str) -> int:
     return {"ok": 0, "interrupted": EXIT_INTERRUPTED}.get(status, EXIT_NOT_OK)
 
 
-#: Lines of the summary: label, key, factor, format.
+#: Lines of the summary: label, name of the number, factor, format.
 _LINES = (
     ("ATE", "ate_rmse_m", 1e3, "{:.2f} mm"),
     ("ATE of keyframes", "ate_keyframes_rmse_m", 1e3, "{:.2f} mm"),
@@ -115,7 +115,7 @@ def verdict_lines(verdict: VerdictRecord) -> list[str]:
 
 
 def summary(folder: Path, record: RunRecord) -> str:
-    """A few lines for people; run.json has everything."""
+    """The most important numbers in a few lines; run.json has everything."""
     frames = record.frames
     lines = [f"{record.status}  {folder}", f"{'tracked':18}{frames.tracked} of {frames.given} frames"]
     for label, key, factor, form in _LINES:

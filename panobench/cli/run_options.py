@@ -1,4 +1,4 @@
-"""Command-line options that follow from the fields of RunRequest."""
+"""Make command-line options from the fields of RunRequest."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from panobench.bench.request import RunOption
 def with_run_options(
     options: Iterable[RunOption], help: Callable[[RunOption], str]
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator of a command: it gets a command-line option for each run option, after what it requires itself.
+    """Decorate a command with a command-line option for each run option, after the arguments that it requires itself.
 
     The command's first parameter is ``given``: the values by name, fit for ``RunRequest(**given)``. Settings are parsed
-    from KEY=VALUE. Raises UsageError for settings of another form.
+    from KEY=VALUE; a word of another form raises UsageError.
     """
     chosen = tuple(options)
 

@@ -62,7 +62,7 @@ def _short(record: RunRecord) -> dict[str, Any]:
 
 
 def _pairs(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
-    """ "old -> new", or the value alone when it stays."""
+    """Each value as "old -> new", or alone where it stays."""
     words = []
     for key, form, factor in (
         ("status", "{}", None),

@@ -111,7 +111,7 @@ def _row(label: str, stored: Any, reason: str) -> dict[str, Any]:
 
 
 def print_rows(rows: list[dict[str, Any]], as_json: bool) -> None:
-    """Rows as JSON, or as one line each."""
+    """Print rows as JSON, or as one line each."""
     if as_json:
         print(json.dumps(rows, indent=2))
         return

@@ -1,4 +1,4 @@
-"""The live table of `panobench suite run`; on something that is no terminal, a line per finished cell."""
+"""The live table of `panobench suite run`; where there is no terminal, a line per finished cell."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class SuiteTable:
                 table.add_column(column, overflow="ellipsis", no_wrap=column != "result")
             for label, stored, note in self._finished[-_SHOWN:]:
                 style = _STYLES.get(stored.status, "red")
-                # Text: names and messages come from data and must not be read as markup
+                # names and messages come from data and must not be read as markup
                 table.add_row(Text(label), Text(stored.status, style), Text(note or _numbers(stored)))
             for label, begin in self._running.items():
                 table.add_row(Text(label), Text("running", "cyan"), f"{time.monotonic() - begin:.0f} s")

@@ -1,4 +1,4 @@
-"""`panobench synth`: data sets made here, in the formats of published ones."""
+"""`panobench synth` makes data sets in the formats of published ones."""
 
 from __future__ import annotations
 

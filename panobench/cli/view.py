@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-#: Wider panoramas are reduced for the page, which browsers would otherwise refuse.
+#: Wider panoramas are reduced for the page, because browsers refuse them.
 _PAGE_WIDTH = 4096
-#: Below this share of the sphere there is nothing to look around in.
+#: A camera that sees less of the sphere gets no page.
 _PAGE_COVERAGE = 0.3
 
 

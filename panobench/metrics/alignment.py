@@ -1,4 +1,4 @@
-"""Which estimated poses meet which true ones, and the transform between the two worlds."""
+"""Match estimated poses to true ones, and find the transform between the two worlds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from panobench.geometry import Sim3, umeyama
 from panobench.types import Trajectory
 
-#: Closer times are the same frame.
+#: Times that differ by no more belong to the same frame.
 SAME_TIME_S = 1e-6
 
 
@@ -40,7 +40,7 @@ def moves(positions: NDArray[np.float64]) -> bool:
 
 
 def world_alignment(matched: Matched) -> Sim3:
-    """Takes the estimate's world onto the true one, orientations included; for rendering from true poses.
+    """The transform from the estimate's world to the true one by positions and orientations, to render from true poses.
 
     The rotation is the chordal mean of R_true R_estimated^T over all frames: unlike the one from positions
     alone it is well defined on a straight path. Scale and translation then follow by

@@ -1,4 +1,4 @@
-"""What a metric gets. A metric is a function from ``MetricInput`` to named numbers."""
+"""The input of a metric. A metric is a function from ``MetricInput`` to named numbers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from panobench.types import Estimate
 PROTOCOL_VERSION = "1.3"
 #: A run that tracked a smaller share of its frames is lost.
 MIN_TRACKED = 0.9
-#: A run with a larger ATE is lost too: the largest error the paper's tables print is 2.66 m, beyond they print "/".
+#: A run with a larger ATE is lost too. The largest error in the paper's tables is 2.66 m; beyond, they print "/".
 FAILED_ATE_M = 3.0
 
 Render = Callable[[Camera, NDArray[np.float64]], "NDArray[np.float32] | None"]
@@ -33,7 +33,7 @@ class MetricInput:
     latency:  seconds per frame given, same order as ``frames``.
     renders:  folder where pictures for the report may be written (it may not exist yet), or None.
     notes:    key -> one line; a metric says here why a number is None.
-    alignment: of the trajectory before ATE; "auto" is Sim(3), or SE(3) for an estimate that says it is metric.
+    alignment: of the trajectory before ATE; "auto" is Sim(3).
     """
 
     sequence: FrameSequence

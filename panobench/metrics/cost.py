@@ -1,4 +1,4 @@
-"""What a run cost besides time and memory, which the runner measures itself."""
+"""The cost of a run besides time and memory, which the runner measures."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Image = NDArray[np.float32]
-#: Equal images would have infinite PSNR; eight-bit rounding alone costs 59 dB.
+#: PSNR of equal images, which would be infinite; eight-bit rounding alone limits it to 59 dB.
 MAX_PSNR_DB = 100.0
 _RADIUS, _SIGMA = 5, 1.5
 _C1, _C2 = 0.01**2, 0.03**2

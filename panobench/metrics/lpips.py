@@ -1,4 +1,4 @@
-"""LPIPS with AlexNet features, from weights the user has. Without them the value is "n/a", never another distance.
+"""LPIPS with AlexNet features, from weights that the user provides. Without them the value is "n/a".
 
 Zhang et al., "The unreasonable effectiveness of deep features as a perceptual metric" (2018), version 0.1.
 ``$PANOBENCH_LPIPS`` names a folder with the two files as their publishers name them: AlexNet's weights
@@ -26,7 +26,7 @@ _LAYERS = (
     (10, 256, 256, 3, 1, 1, False),
 )
 _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
-#: A smaller image leaves nothing after AlexNet's pooling.
+#: Smaller images have no pixel left after AlexNet's pooling.
 _MIN_SIZE = 64
 
 

@@ -1,4 +1,4 @@
-"""The paper's perspective views, cut out of a camera's frames: what direct renders of the map are compared with."""
+"""Cut the paper's perspective views out of a camera's frames, to compare direct renders of the map with."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reports: run folders in, one offline HTML file or the same tables as LaTeX, CSV, Markdown or JSON out.
+"""Reports make one offline HTML file, or tables as LaTeX, CSV, Markdown or JSON, from run folders.
 
-Reads files only; neither torch nor numba is imported here.
+They read files only; neither torch nor Numba is imported here.
 """

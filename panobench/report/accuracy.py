@@ -1,4 +1,4 @@
-"""The table papers print first: methods by sequences, ATE RMSE in every cell, coverage beside it."""
+"""The accuracy table: methods by sequences, with ATE RMSE and coverage in every cell."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ FLAGS = {
 
 
 def flags(runs: Sequence[Run]) -> tuple[str, ...]:
-    """What a reader must know about a row before comparing it."""
+    """Warnings that a reader must see before comparing a row."""
     told = (
         ("true depth", any(run.true_depth for run in runs)),
         ("given poses", given(runs)),
@@ -126,7 +126,7 @@ def competes(runs: Sequence[Run]) -> bool:
 
 
 def given(runs: Sequence[Run]) -> bool:
-    """Whether the poses were given to them: they compete with nobody."""
+    """Whether the runs were given their poses: they are not ranked then."""
     return any(run.given_poses for run in runs)
 
 

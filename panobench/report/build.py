@@ -1,4 +1,4 @@
-"""One call from run folders to a report file."""
+"""Write a report file from run folders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from panobench.report.model import Collection
 from panobench.report.tables import build_tables
 from panobench.writing import write_whole
 
-#: What a page without pictures weighs, MB: 1.5 of it is Plotly up to 5.23, half a megabyte more from 5.24 on.
+#: Size of a page without pictures, MB. Plotly takes 1.5 of it up to version 5.23, and half a megabyte more from 5.24.
 MIN_MB = 1.6
 
 

@@ -73,7 +73,7 @@ def find_studies(path: Path) -> list[Path]:
 
 
 def find_quarantined(path: Path) -> list[Path]:
-    """Runs a suite has set aside in the store at ``path``, for the report not to hide them."""
+    """Runs that a suite has set aside in the store at ``path``; the report shows them too."""
     folder = path / QUARANTINE
     return sorted(p for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
 
@@ -123,7 +123,7 @@ def trajectory_errors(estimate: Trajectory, truth: Trajectory | None, protocol: 
 
 
 def _optional_tum(path: Path, warnings: list[str]) -> Trajectory | None:
-    if not path.is_file() or path.stat().st_size == 0:  # empty: it failed before the first pose
+    if not path.is_file() or path.stat().st_size == 0:  # a run that failed before the first pose has an empty file
         return None
     try:
         trajectory = read_tum(path)
@@ -134,7 +134,7 @@ def _optional_tum(path: Path, warnings: list[str]) -> Trajectory | None:
 
 
 def _frames(path: Path, warnings: list[str]) -> dict[str, Array]:
-    """frames.csv as columns of numbers; text and empty cells become NaN, true/false 1/0."""
+    """The columns of frames.csv as numbers; text and empty cells become NaN, true and false 1 and 0."""
     if not path.is_file():
         return {}
     try:

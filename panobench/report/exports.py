@@ -1,4 +1,4 @@
-"""The same tables as LaTeX (booktabs), CSV, Markdown and JSON."""
+"""Write tables as LaTeX (booktabs), CSV, Markdown and JSON."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _csv_value(column: Column, cell: Cell) -> str:
 
 
 def csv_text(word: str) -> str:
-    """A word no spreadsheet takes for a formula: text starting like one gets an apostrophe."""
+    """A word that no spreadsheet takes for a formula: text that starts like one gets an apostrophe."""
     if word[:1] in ("=", "+", "-", "@", "\t", "\r"):
         try:
             float(word)
@@ -149,7 +149,7 @@ def csv_text(word: str) -> str:
 
 
 def to_json(tables: Sequence[Table]) -> str:
-    """Everything the tables know, for programs; the schema is versioned."""
+    """Everything in the tables, for programs; the schema has a version."""
     content = {"schema": "panobench-tables-1", "tables": [asdict(table) for table in tables]}
     return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 

@@ -1,4 +1,4 @@
-"""Figures as Plotly specifications (plain dicts). Colours are left to the page, which knows light from dark.
+"""Figures as Plotly specifications (plain dicts). The page chooses colours, as it knows whether it is light or dark.
 
 A trace carries ``meta.run`` (index of its run, for toggles) and ``meta.colour`` (index into the palette, -1 for
 ground truth). Numbers are rounded to five significant digits to keep the page small.
@@ -18,7 +18,7 @@ from panobench.report.model import Array, Errors, Run
 MAX_POINTS = 800
 #: An axis is logarithmic when its traces' medians differ by more than this factor.
 LOG_FROM = 15.0
-#: And when a value lies that far above its trace's median: on a linear axis only the peak would be seen.
+#: It is logarithmic too when a value lies this factor above its trace's median, as only the peak would be seen.
 LOG_FROM_PEAK = 40.0
 Figure = dict[str, Any]
 
@@ -61,7 +61,7 @@ def log_axis(values: Sequence[float]) -> dict[str, Any]:
 
 
 def value_axis(values: Sequence[float | None]) -> dict[str, Any]:
-    """From zero, or logarithmic when the typical values of the traces lie far apart (factor ``LOG_FROM``)."""
+    """Axis settings: from zero, or logarithmic when typical values of the traces differ by more than ``LOG_FROM``."""
     positive = [v for v in values if v is not None and v > 0]
     if positive and max(positive) > LOG_FROM * min(positive):
         return log_axis(positive)
@@ -205,7 +205,7 @@ def bar_figure(names: Sequence[str], values: Sequence[float], colours: Sequence[
 
 
 def describe_errors(errors: Errors) -> str:
-    """One sentence for people who cannot see the plot."""
+    """A sentence for readers who cannot see the plot."""
     e = errors.translation * 1e3
     return (
         f"median {np.median(e):.3g} mm, largest {e.max():.3g} mm at {errors.times[e.argmax()] - errors.times[0]:.1f} s"

@@ -1,4 +1,4 @@
-"""What stands on top of a report: its title, key figures and facts; and the measurements of a single run."""
+"""The top of a report: its title, key figures and facts, and the measurements of a single run."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def default_title(collection: Collection, grouped: Mapping[Variant, Sequence[Run
 
 
 def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> list[Tile]:
-    """Key figures: of the run when there is one, of the comparison otherwise; a study speaks for itself."""
+    """Key figures of the run if there is one, else of the comparison; none for studies."""
     if collection.studies:
         return []
     if len(collection.runs) == 1:
@@ -46,7 +46,7 @@ def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> l
     failed = sum(failure(r) is not None for r in collection.runs)
     out = [Tile("Runs", str(len(collection.runs)), note=f"{failed} failed" if failed else "all succeeded")]
     good = [(r, v.label) for v, runs in grouped.items() for r in runs if not failure(r) and not r.given_poses]
-    # who finds no path at all is not the fastest to find it
+    # a method that finds no path is not the fastest
     good = [(r, label) for r, label in good if r.number("ate_rmse_m") is not None] or good
     for name, key, best, text, unit in (
         ("Lowest ATE", "ate_rmse_m", min, lambda v: length_text(v * 1e3, "mm"), "mm"),
@@ -85,7 +85,7 @@ def _run_tiles(run: Run) -> list[Tile]:
 
 
 def measurements(run: Run) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Everything measured of one run as (heading, (name, value with unit) pairs); says why where it is n/a."""
+    """Everything measured in one run as (heading, (name, value with unit) pairs), with the reason where it is n/a."""
     ate = Quantity("ate_rmse_m", "ATE", "mm", "lower", scale=1e3)
     out = []
     for heading, quantities in (("Accuracy", (ate, *ACCURACY)), ("Rendering", RENDERING), ("Cost", COST)):

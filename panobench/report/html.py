@@ -33,9 +33,9 @@ from panobench.report.tables import run_tables
 from panobench.report.variants import variants
 
 _TEMPLATES = Path(__file__).parent / "templates"
-#: What a page may weigh: mail servers and repositories take it, browsers open it at once.
+#: Largest size of a page, bytes: mail servers and repositories accept it, and browsers open it at once.
 MAX_BYTES = 10_000_000
-#: Times the page is made to fit its limit.
+#: How often the page is made again to fit its limit.
 _ATTEMPTS = 4
 _SCRIPTS = ("core.js", "tables.js", "plots.js", "pano.js", "main.js")
 

@@ -1,4 +1,4 @@
-"""Pictures for the page: scaled, encoded as WebP data URIs, and kept within a budget of bytes."""
+"""Scale pictures for the page and encode them as WebP data URIs, within a budget of bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sparse look at a Gaussian map for the 3-D plot: the centres of its larger, opaque Gaussians in their colours."""
+"""Draw a Gaussian map in the 3-D plot, by the centres of its larger, opaque Gaussians in their colours."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from panobench.errors import InputError
 from panobench.report.figures import numbers
 from panobench.report.model import Array, Run
 
-#: Gaussians shown of a map, and of all maps of a page; more would cost more bytes and frames per second than they tell.
+#: Most Gaussians shown of one map, and of all maps of a page; more would make the page large and slow.
 MOST, MOST_IN_ALL = 5000, 30_000
 _MIN_OPACITY = 0.5
 #: Gaussians higher than this share of the way from eye level to the top of the map are left out: one looks

@@ -1,4 +1,4 @@
-"""What a report knows about runs: plain dataclasses, no files and no drawing."""
+"""The runs of a report as plain dataclasses, without reading files or drawing."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class Run:
-    """One run folder, read: its record, and what lies beside it.
+    """One run folder: its record, and the other files in it.
 
     frames: columns of frames.csv. pairs: renders beside what they should show. warnings: files that cannot be read.
     """
@@ -183,7 +183,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Problem:
-    """A folder that looks like a run but cannot be read: shown, never dropped."""
+    """A folder that looks like a run but cannot be read. Reports show it."""
 
     folder: Path
     message: str

@@ -1,4 +1,4 @@
-"""Leaving out where files lie on the machine that made a report, for pages that are published."""
+"""Leave out where files are on the machine that made a report, for pages that are published."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PATH = re.compile(r"(?<![\w.:/~-])(?:~|(?=/))(?:/[^\s/:;,'\"()<>\[\]]+)+/([^\s/
 
 
 def hide_paths(collection: Collection) -> Collection:
-    """The same with every absolute path in a text cut to its last part."""
+    """A copy in which every absolute path in a text is cut to its last part."""
     return Collection(
         tuple(_run(run) for run in collection.runs),
         tuple(Problem(Path(problem.folder.name), shortened(problem.message)) for problem in collection.problems),
@@ -26,7 +26,7 @@ def hide_paths(collection: Collection) -> Collection:
 
 
 def shortened(text: str) -> str:
-    """ "cannot read /home/me/data/a.png" -> "cannot read …/a.png"."""
+    """The text with paths cut: "cannot read /home/me/data/a.png" becomes "cannot read …/a.png"."""
     return _PATH.sub(r"…/\1", text)
 
 

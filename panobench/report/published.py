@@ -1,4 +1,4 @@
-"""Rows of figures printed in papers, for reference: they are never ranked against runs."""
+"""Rows of published figures, for reference; they are never ranked against runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who counts as failed, and which cells of a column are best and second best."""
+"""Decide which runs count as failed, and which cells of a column are best and second best."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from panobench.bench.statistics import RANKING_RULE as STATISTICS_RULE
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED
 from panobench.report.model import Run
 
-#: Stated in every report.
+#: The rule that every report states.
 RANKING_RULE = (
     f"A run counts as failed (“/”) when it did not end with status ok, tracked fewer than {MIN_TRACKED:.0%} of its "
     f"frames, or has an ATE above {FAILED_ATE_M:g} m (or breaks the limits of the protocol it was scored under). "

@@ -46,9 +46,9 @@ def place_section(
     data: dict[str, Any],
     map_points: int = MOST,
 ) -> dict[str, Any]:
-    """One sequence: its viewer, charts, and initial depths. Figures and viewer data go into ``data``.
+    """Make the section of one sequence: its viewer, charts and first depths. Figures and viewer data go into ``data``.
 
-    map_points: of the map drawn behind the trajectories.
+    map_points: most points of the map that is drawn behind the trajectories.
     """
     key = f"seq{number}"
     labels = _unique_labels(runs, label_of)
@@ -66,7 +66,7 @@ def place_section(
     if trace is not None:
         spatial["data"].append(trace)
         spatial["layout"]["scene"]["camera"]["eye"] = {"x": 0.98, "y": -1.38, "z": 1.32}
-    # poses that were given have no error of their own
+    # given poses have no error
     own = [replace(r, errors=None) if r.given_poses else r for r in runs]
     described = [f"{label}: {figures.describe_errors(r.errors)}" for r, label in zip(own, labels) if r.errors]
     about = "Position error after alignment. " + "; ".join(described)

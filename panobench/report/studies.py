@@ -1,4 +1,4 @@
-"""Studies in a report: their rows as the report's tables, their figures as charts, their provenance."""
+"""Show studies in a report: their rows as tables, their figures as charts, and their provenance."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _cell(value: Any, column: Column) -> Cell:
 
 
 def _digits(value: float, unit: str) -> int:
-    """Digits after the point: what is comparable within a column, for the sizes that occur."""
+    """Digits after the point that a column of such values needs."""
     if unit == "%":
         return 0 if value == round(value) else 1
     if value == round(value) and abs(value) >= 10:
@@ -142,7 +142,7 @@ def _numbers(values: Any) -> list[float]:
 
 
 def _plain(value: Any) -> Any:
-    """A copy whose texts mean no markup to Plotly."""
+    """A copy whose texts Plotly does not take for markup."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, list):

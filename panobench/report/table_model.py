@@ -1,4 +1,4 @@
-"""What a table is, independent of what it shows and of the format it is written in; and how numbers print."""
+"""The model of a table, whatever it shows and whatever format it is written in, and how numbers are printed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """Cells in column order. facets: what filters look at. target: an anchor to link to. flags: warnings in a word.
+    """A row: cells in column order. facets: values for filters. target: an anchor to link to. flags: one-word warnings.
 
     competes: its cells may be the best or second best of their columns.
     """
@@ -74,7 +74,7 @@ class Table:
 
 
 def format_number(value: float, digits: int) -> str:
-    """Fixed digits, thousands separated by a thin space, infinities as the failure sign."""
+    """A number with fixed digits, thousands separated by a thin space; infinities print as the failure sign."""
     if not math.isfinite(value):
         return FAILED
     return f"{value:,.{digits}f}".replace(",", "\u202f")
@@ -122,7 +122,7 @@ def mark_ranks(columns: Sequence[Column], rows: list[Row]) -> list[Row]:
 
 
 def drop_empty_columns(table: Table) -> Table:
-    """Without the numeric columns in which no row has a value or a failure."""
+    """The table without numeric columns in which no row has a value or a failure."""
     keep = [
         j
         for j, column in enumerate(table.columns)
@@ -134,5 +134,5 @@ def drop_empty_columns(table: Table) -> Table:
 
 def natural(text: str) -> list[tuple[int, int, str]]:
     """Sort key that puts room2 before room10."""
-    words = re.findall(r"\d{1,18}|\D+", text)  # Python refuses to make numbers of thousands of digits
+    words = re.findall(r"\d{1,18}|\D+", text)  # Python does not convert thousands of digits to a number
     return [(0, int(w), "") if w.isdecimal() else (1, 0, w) for w in words]

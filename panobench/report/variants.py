@@ -1,4 +1,4 @@
-"""Variants: a method with the options that set it apart from the others in this report, and its label."""
+"""A variant is a method with the options that tell it apart from others in this report; this finds and labels them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Variant:
 def variants(collection: Collection) -> dict[Variant, list[Run]]:
     """Runs grouped into variants. An option counts only where it differs between runs on one sequence.
 
-    Settings of a method count between runs of that method, what it was given (camera, width, frames) between all.
+    Options of a method count between runs of that method; options of its input (camera, width) between all runs.
     """
     differing = _differing(collection)
     grouped: dict[Variant, list[Run]] = defaultdict(list)
@@ -45,7 +45,7 @@ def variant_of(run: Run, differing: Iterable[str]) -> Variant:
 
 
 def _differing(collection: Collection) -> set[str]:
-    """Options that labels say; what changes a method's input also where it differs between methods."""
+    """The options that labels must name."""
     found: set[str] = set()
     for place in collection.places():
         runs = collection.at(place)
@@ -54,7 +54,7 @@ def _differing(collection: Collection) -> set[str]:
             by_method: dict[str, set[str]] = defaultdict(set)
             for run in runs:
                 by_method[run.method].add(run.variant.get(key, ""))
-            if key == "depth":  # unknown where a run failed before it chose one
+            if key == "depth":  # a run that failed early chose none
                 by_method = {method: values - {""} for method, values in by_method.items()}
             given = {value for values in by_method.values() for value in values} - {""}
             if any(len(v) > 1 for v in by_method.values()) or (option.changes_input and len(given) > 1):

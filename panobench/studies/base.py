@@ -1,4 +1,4 @@
-"""What a study is asked for. It regenerates a table or figure of the paper and returns a ``StudyResult``."""
+"""The request for a study, which regenerates a table or figure of the paper and returns a ``StudyResult``."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def _silent(line: str) -> None:
 
 @dataclass
 class StudyRequest:
-    """out: folder for runs and results; a second call resumes there. quick: under two minutes on two cores.
+    """out: folder for runs and results, where a second call continues. quick: finish in two minutes on two cores.
 
-    options: what `--set` gave, as text. jobs: runs at a time. retry: statuses of stored runs to run again.
-    say: is told the progress, a line at a time.
+    options: values of `--set`, as text. jobs: runs at a time. retry: statuses of stored runs to run again.
+    say: is called with each line of progress.
     """
 
     out: Path
@@ -34,7 +34,7 @@ class StudyRequest:
     def choose(self, full: Options, quick: dict[str, Any]) -> Options:
         """The study's options: the defaults ``full`` (a dataclass), then ``quick`` if asked for, then what was set.
 
-        Raises UnknownNameError or UsageError for options that are none.
+        Raises UnknownNameError for an unknown option and UsageError for a wrong value.
         """
         chosen = override(full, quick, "quick option") if self.quick else full
         known: Options = override(chosen, self.options, "study option")

@@ -1,5 +1,5 @@
-"""The convergence-basin study: the loss around a true pose, from where tracking finds back, and how well-conditioned
-the pose is, for several fields of view (the paper's figure, with the numbers it does not give).
+"""The convergence-basin study: the loss around a true pose, the starts from which tracking converges, and how well
+conditioned the pose is, for several fields of view (the paper's figure, with the numbers it does not give).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from panobench.cameras.base import Camera
     from panobench.studies.landscape import Scene
 
-#: How far the plane reaches, in median depths (the paper's factor).
+#: Half the side of the plane, in median depths (the paper's factor).
 REACH = 0.5
 AXES = ("x", "y", "z", "pitch", "yaw", "roll")
 
@@ -92,12 +92,12 @@ def measure(options: BasinOptions, study: StudyRequest) -> dict[str, dict[str, A
         cameras.append((f"{degrees:g}°", RunRequest(**_camera(options, "erp", text))))
     sequences = {name: open_input(request) for name, request in cameras}
     panorama = open_input(RunRequest(**_camera(options, "erp")))
-    # Where the data are is no part of what a measurement depends on.
+    # a measurement does not depend on where the data are
     about = {k: v for k, v in asdict(options).items() if k not in ("fov", "pinhole", "root")}
     shared = [
         about,
         code_fingerprint(["panobench.methods.panogs.tracker:Tracker", "panobench.methods.panogs.mapper:Mapper"]),
-        # studies are no part of the code a run depends on; here this module measures
+        # the code of a run leaves studies out, but here this module measures
         Path(__file__).with_name("landscape.py").read_text(encoding="utf-8"),
         environment_fingerprint(),
         data_fingerprint(panorama.provenance()),
@@ -125,7 +125,7 @@ def _camera(options: BasinOptions, camera: str, fov: str | None = None) -> dict[
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """What an earlier call measured; anything unreadable is measured again."""
+    """What an earlier call measured; None for a file that cannot be read, which is measured again."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -249,7 +249,7 @@ def _result(options: BasinOptions, measured: dict[str, dict[str, Any]]) -> Study
 
 
 def share(starts: list[dict[str, Any]]) -> float | None:
-    """Per cent of the starts that converged; None of none."""
+    """Percentage of the starts that converged; None without starts."""
     return 100.0 * sum(s["converged"] for s in starts) / len(starts) if starts else None
 
 

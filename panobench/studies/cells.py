@@ -1,4 +1,4 @@
-"""What studies made of runs share: options, running cells through the suite's machinery, and one number per cell."""
+"""What studies that make runs share: options, running cells as a suite does, and one number per cell."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from panobench.types import RunStatus
 FAILED = "/"
 
 
-#: The run options that suite files have under ``options``, as a dataclass: studies take them all.
+#: The run options that suite files have under ``options``, as a dataclass; studies take all of them.
 _SuiteOptions: Any = make_dataclass(
     "_SuiteOptions", [(o.name, o.type, o.default) for o in run_options() if not o.suite_key], frozen=True
 )
@@ -29,8 +29,8 @@ _SuiteOptions: Any = make_dataclass(
 class RunOptions(_SuiteOptions):
     """Options of every study that runs a method: which, on what, how often, and for how long at most.
 
-    Those of a suite's ``options`` are among them. width: what order the rows of a study come in shows at 256 pixels,
-    at a fourth of the cost of 512.
+    Those of a suite's ``options`` are among them. width: 256 pixels show the same order of a study's rows as 512, at a
+    fourth of the cost.
     """
 
     method: str = "panogs"
@@ -46,7 +46,8 @@ class RunOptions(_SuiteOptions):
     def request(self, sequence: str, seed: int, **changes: Any) -> RunRequest:
         """A run of these options; ``changes`` are fields of RunRequest.
 
-        An option that a study gives another type (a list of fields of view) is the study's own, and no run's.
+        A study may use the name of a run option for a field of another type, such as a list of fields of view. Such a
+        field is not passed on to runs.
         """
         mine, usual = get_type_hints(type(self)), get_type_hints(RunOptions)
         given = {
@@ -66,7 +67,7 @@ QUICK: dict[str, Any] = {"sequences": ("tiny",), "width": 128, "max_frames": 24}
 
 
 class _Lines:
-    """A ``Watcher`` that says a line per cell."""
+    """A ``Watcher`` that reports a line per cell."""
 
     def __init__(self, study: StudyRequest, total: int, done: int) -> None:
         self._study, self._total, self._done = study, total, done
@@ -85,7 +86,7 @@ class _Lines:
 
 
 def run_cells(study: StudyRequest, name: str, cells: Iterable[Cell]) -> dict[str, Stored]:
-    """Run what the store in ``study.out`` does not hold yet; identity of the cell -> result.
+    """Run what the store in ``study.out`` does not hold yet, and return the results by the cells' identity.
 
     Every cell ends with a result, be it a failure. Raises OutputError when the store cannot be written.
     """
@@ -118,14 +119,14 @@ def values(results: dict[str, Stored], cells: Sequence[Cell], key: str) -> list[
 def median(
     results: dict[str, Stored], cells: Sequence[Cell], key: str, scale: float = 1.0, *, higher_is_better: bool = False
 ) -> float | str | None:
-    """Over the cells (the repeats of one row on one sequence): "/" when failures decide it, None if not measured."""
+    """The median over repeats of one row on one sequence: "/" if failures decide it, None if not measured."""
     return middle(values(results, cells, key), scale, higher_is_better=higher_is_better)
 
 
 def middle(
     numbers: Sequence[float | None], scale: float = 1.0, *, higher_is_better: bool = False
 ) -> float | str | None:
-    """Median of figures, None being a failure: "/" when failures decide it, None without any figure."""
+    """The median of numbers, of which None is a failure: "/" if failures decide it, None without numbers."""
     summary = summarise(numbers, higher_is_better=higher_is_better)
     if summary is None:
         return None
@@ -133,7 +134,7 @@ def middle(
 
 
 def mean(medians: Sequence[float | str | None]) -> float | str | None:
-    """Over sequences: "/" if any of them failed, None if one was not measured or there is none."""
+    """The mean over sequences: "/" if one of them failed, None if one was not measured or there is none."""
     if any(m == FAILED for m in medians):
         return FAILED
     numbers = [m for m in medians if isinstance(m, float)]
@@ -141,7 +142,7 @@ def mean(medians: Sequence[float | str | None]) -> float | str | None:
 
 
 def geometric_mean(medians: Sequence[float | str | None]) -> float | str | None:
-    """As ``mean``, but no sequence outweighs the others: errors of rooms differ by factors of a hundred."""
+    """As ``mean``, but no sequence outweighs the others: errors of rooms differ by a factor of a hundred."""
     if any(m == FAILED for m in medians):
         return FAILED
     numbers = [m for m in medians if isinstance(m, float) and m > 0]

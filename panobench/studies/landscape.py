@@ -1,4 +1,4 @@
-"""The photometric loss around a true pose, and which starts tracking finds back from: the measurements of ``basin``."""
+"""Measure the photometric loss around a true pose, and from which starts tracking converges, for ``basin``."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def track_from(
 
 
 def pose_hessian(scene: Scene, config: PanogsConfig) -> F64:
-    """(6, 6) Gauss-Newton Hessian of the mean residual over (translation, rotation) at the pose tracking settles on.
+    """(6, 6) Gauss-Newton Hessian of the mean residual over (translation, rotation) at the pose tracking converges to.
 
     Translations in median depths, rotations in radians, divided by the number of valid pixels: so fields of view and
     scenes of different size can be compared.

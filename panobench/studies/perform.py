@@ -1,4 +1,4 @@
-"""Carry out a study and write down what came out."""
+"""Run a study and store its result."""
 
 from __future__ import annotations
 

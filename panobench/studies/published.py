@@ -1,4 +1,4 @@
-"""The paper's own rows for its tables, to stand below what was measured here."""
+"""The paper's rows for its tables, which are shown below what was measured here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The robustness study: one disturbance of the stream at a time, and what is left of tracking and of the map."""
+"""The robustness study: how tracking and mapping fare under one disturbance of the images at a time."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class RobustnessOptions(RunOptions):
 def run(study: StudyRequest) -> StudyResult:
     """Share of frames tracked, ATE, and PSNR of undisturbed novel views, per disturbance and method."""
     options = study.choose(RobustnessOptions(), QUICK_STREAMS)
-    names = {text: describe(text) for text in options.disturbances}  # mistakes are said before anything runs
+    names = {text: describe(text) for text in options.disturbances}  # this refuses mistakes before anything runs
     rows = {
         (text, method): [[_cell(options, method, s, text, seed) for seed in options.seeds] for s in options.sequences]
         for text in options.disturbances
@@ -112,7 +112,7 @@ def run(study: StudyRequest) -> StudyResult:
 
 
 def _cell(options: RobustnessOptions, method: str, sequence: str, text: str, seed: int) -> Cell:
-    """One run; plain streams too come through the dataset that disturbs, so that only the disturbance differs."""
+    """One run. Undisturbed images come through the disturbing dataset too, so that only the disturbance differs."""
     place = sequence if "/" in sequence else f"{options.dataset}/{sequence}"
     changes: dict[str, Any] = {"method": method, "dataset": "disturbed"}
     if text.startswith("every="):
@@ -125,7 +125,7 @@ def _cell(options: RobustnessOptions, method: str, sequence: str, text: str, see
 
 
 def describe(text: str) -> str:
-    """For people: "noise=0.03" -> "noise, sigma 0.03". Raises UsageError for what is no disturbance."""
+    """The disturbance in words: "noise=0.03" is "noise, sigma 0.03". Raises UsageError if it is none."""
     if text == "none":
         return text
     words = []
@@ -156,13 +156,13 @@ class Outcome:
 
 
 def black_frames(text: str) -> int:
-    """How many frames a disturbance blackens: "noise=0.03:black=20" -> 20."""
+    """Number of frames that a disturbance blackens: 20 for "noise=0.03:black=20"."""
     parts = dict(part.partition("=")[::2] for part in text.split(":"))
     return int(float(parts.get("black", 0)))
 
 
 def outcome(stored: Stored | None, black: int) -> Outcome:
-    """What a run came to if ``black`` of its frames could have no pose: a run that tracked the others is not lost."""
+    """Judge a run of which ``black`` frames could have no pose: it is not lost if it tracked the others."""
     if stored is None or stored.status not in (RunStatus.OK.value, RunStatus.LOST.value):
         return Outcome(FAILED)
     record, given = stored.record, stored.record.frames.given
@@ -182,7 +182,7 @@ def _worst(values: list[float | str]) -> float | str:
 
 
 def _median(values: list[float | str | None], *, higher_is_better: bool = False) -> float | str | None:
-    """Over the seeds, a lost run being worse than any number; None if it was not measured."""
+    """The median over seeds, where a lost run is worse than any number; None if it was not measured."""
     if any(v is None for v in values):
         return None
     return middle([None if v == FAILED else float(v) for v in values], higher_is_better=higher_is_better)  # type: ignore[arg-type]
@@ -212,7 +212,7 @@ def _figure(rows: list[dict[str, Any]], options: RobustnessOptions) -> dict[str,
     names = list(dict.fromkeys(row["Disturbance"] for row in rows))
     layout = {
         "xaxis": {"title": {"text": "ATE RMSE [mm]"}, "type": "log"},
-        # a row of its own for each disturbance, also where every method was lost
+        # each disturbance has a row, even where every method was lost
         "yaxis": {"autorange": "reversed", "categoryorder": "array", "categoryarray": names, "automargin": True},
         "showlegend": True,
     }
