@@ -24,6 +24,7 @@ FORBIDDEN = {
     "depth": {"splat", "methods", "metrics"} | ABOVE_METHODS,
     "methods": {"metrics"} | ABOVE_METHODS,
     "metrics": {"photometric", "splat", "depth", "methods"} | ABOVE_METHODS,
+    "verdict": {"photometric", "splat", "depth", "methods"} | ABOVE_METHODS,
     "bench": {"report", "studies", "viewer", "testing", "cli"},
     "report": {"studies", "methods", "viewer", "testing", "cli"},
     "studies": {"report", "viewer", "testing", "cli"},
@@ -95,3 +96,10 @@ class Late:
     assert set(imported(text)) == {"errors", "cameras", "photometric", "studies"}
     found = broken("splat", {"a.py": text, "b.py": "import numpy"}, FORBIDDEN["splat"])
     assert found == ["splat/a.py imports photometric", "splat/a.py imports studies"]
+
+
+def test_methods_share_splatting_and_nothing_of_panogs() -> None:
+    """What two methods use belongs to neither; here text is enough, imports in functions count too."""
+    sources = {n: t for n, t in sources_of("methods").items() if not n.startswith("panogs/") and n != "registration.py"}
+    assert len(sources) > 40
+    assert [name for name, text in sources.items() if "methods.panogs" in text] == []

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3, invert_pose, make_pose, umeyama
-from panobench.methods.posegraph import Similarities, optimise_pose_graph
 from panobench.methods.sparse.descriptors import match
 from panobench.methods.sparse.pointmap import ACTIVE, DEAD, FrameRecord, Keyframe, PointMap
+from panobench.methods.sparse.posegraph import Similarities, optimise_pose_graph
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame
 
 Array = NDArray[np.float64]
