@@ -28,4 +28,9 @@ STUDIES: tuple[StudySpec, ...] = (
         "tracking under noise, blur, swinging exposure, an occluder, black and skipped frames, and fast yaw",
         "panobench.studies.robustness:run",
     ),
+    StudySpec(
+        "verdict",
+        "how often the verdict on a run is right: wrong and right runs under an operator, walkers, blur and so on",
+        "panobench.studies.verdict:run",
+    ),
 )

@@ -15,7 +15,7 @@ COVERAGE_BAD = 0.5
 #: A step this many times as long as fast motion around it is a jump; steps before and after that are compared.
 JUMP, JUMP_BAD, AROUND = 4.0, 25.0, 15
 #: Deviation of two methods' paths, over the path's length, that is as good as none, and that is as bad as it gets.
-AGREE, DISAGREE = 0.004, 0.02
+AGREE, DISAGREE = 0.008, 0.03
 #: Frames that two trajectories must share to be compared, and the share of the frames given.
 SHARED_MIN, SHARED_SHARE = 8, 0.3
 
