@@ -62,6 +62,10 @@ class MapOptimiser:
         if not self._planned:
             self.prune()
 
+    def work_for_a_frame(self) -> None:
+        """The planned steps that one frame has time for; all of them if steps are not spread over frames."""
+        self.work(self.options.steps_per_frame or len(self._planned))
+
     def work_all(self) -> None:
         """Do every planned step."""
         self.work(len(self._planned))

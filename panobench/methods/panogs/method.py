@@ -101,36 +101,26 @@ class PanogsMethod(OnlineMethod):
     def _process(self, frame: Frame) -> None:
         """Track, judge, record, map, next job."""
         began = time.perf_counter()
-        numbers = self.numbers.setdefault(frame.index, {})
         gaussians = self.mapper.map.gaussians
-
         tracked = self.tracker.track(self.exposure.before(frame.image), gaussians)
         trusted = self.relocaliser.judge(tracked, gaussians, self.trajectory.keyframes)
         if trusted is None:
             self._enter(Phase.LOST)
-            numbers |= {"lost": 1.0, "tracking_s": time.perf_counter() - began}
+            self._note(frame, lost=1.0, tracking_s=time.perf_counter() - began)
             return
         self._enter(Phase.TRACKING)
-
         frame = self._at_map_exposure(frame, trusted)
         scene_depth = self.mapper.local_depth(trusted.render)
         self._record(frame, trusted, scene_depth)
         tracking_s = time.perf_counter() - began
-        numbers |= {
-            "tracking_s": tracking_s,
-            "loss": trusted.cost,
-            "iterations": float(trusted.iterations),
-            "gaussians": float(len(gaussians)),
-        }
+        self._note(frame, tracking_s=tracking_s, loss=trusted.cost, iterations=trusted.iterations)
+        self._note(frame, gaussians=len(gaussians))
         if frame.mappable:
             self._map(frame, trusted)
         self.jobs.run_next(scene_depth)
-        if self.config.mapping.steps_per_frame:
-            self.mapper.optimiser.work(self.config.mapping.steps_per_frame)
-        else:
-            self.mapper.optimiser.work_all()
+        self.mapper.optimiser.work_for_a_frame()
         self.tracker.reset(self.trajectory[frame.index], self.tracker.velocity)
-        numbers["mapping_s"] = time.perf_counter() - began - tracking_s
+        self._note(frame, mapping_s=time.perf_counter() - began - tracking_s)
 
     def _at_map_exposure(self, frame: Frame, tracked: Tracked) -> Frame:
         """The frame with its image at the map's exposure, judged by its own render."""
@@ -150,12 +140,11 @@ class PanogsMethod(OnlineMethod):
     def _map(self, frame: Frame, tracked: Tracked) -> None:
         """Make the frame a keyframe if it should be one; else the map is trained on it like on others."""
         is_keyframe, new_share = self.mapper.add_frame(frame, tracked)
-        self.numbers[frame.index] |= {"new_share": new_share, "keyframe": float(is_keyframe)}
+        self._note(frame, new_share=new_share, keyframe=is_keyframe)
         if is_keyframe:
             self.places.add(self.places.thumbnail(self.tracker.pyramid[-1]))
             self.lag.sweep_wanted = True
-            explained = agreement(self.tracker.pyramid, tracked.render, self.tracker.weights)
-            self.numbers[frame.index]["agreement"] = explained
+            self._note(frame, agreement=agreement(self.tracker.pyramid, tracked.render, self.tracker.weights))
 
     def _is_blank(self, image: NDArray[np.uint8]) -> bool:
         """Nothing to align or to map: a closed shutter, a saturated sensor, fog."""
@@ -164,9 +153,13 @@ class PanogsMethod(OnlineMethod):
 
     def _skip(self, frame: Frame) -> None:
         """No pose for this frame; the camera is expected to move on as before."""
-        self.numbers[frame.index] = {"blank": 1.0}
+        self._note(frame, blank=1.0)
         self.relocaliser.interrupted()
         self.tracker.coast()
+
+    def _note(self, frame: Frame, **numbers: float) -> None:
+        """Numbers of a frame for frames.csv."""
+        self.numbers.setdefault(frame.index, {}).update({name: float(n) for name, n in numbers.items()})
 
     def _enter(self, phase: Phase) -> None:
         if self.phase is not Phase.FINISHING:
@@ -204,7 +197,7 @@ class PanogsMethod(OnlineMethod):
         self.graph.add(first.index, levels[self.lag.buffer.fine_scale.level])
         self.places.add(self.places.thumbnail(levels[-1]))
         self.tracker.reset(view.T_wc)
-        self.numbers[first.index] = {"keyframe": 1.0}
+        self._note(first, keyframe=1.0)
         self.before_first = [f for f in waiting if f.index < first.index]
         for frame in self.before_first:  # until there is a map to track them against, the estimator's poses have to do
             if frame.index in estimate.T_wc:
