@@ -1,8 +1,7 @@
-"""How much of a frame a render explains, whatever the exposure and whatever stands before the camera.
+"""Agreement: the share of a frame that a render explains, by zero-mean normalised cross-correlation of blocks.
 
-Images are cut into blocks. A block agrees if its pixels rise and fall together in both (zero-mean normalised
-cross-correlation), which no gain or offset changes; the share of blocks that agree is little moved by an occluder that
-spoils some of them altogether. A mean residual has neither property.
+The correlation of a block does not depend on gain and offset, and an occluder spoils only the blocks that it covers. A
+mean residual has neither property.
 """
 
 from __future__ import annotations

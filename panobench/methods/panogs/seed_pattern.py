@@ -1,7 +1,7 @@
-"""Where an image needs many Gaussians and where few do: seeds follow its detail instead of being spread evenly.
+"""Seeding by detail: dense where the image has edges, sparse where it is smooth.
 
-A wall of one colour is drawn as well by large discs as by small ones; an edge is not. With the same number of
-Gaussians, taking them from the smooth parts and giving them to the detailed ones draws the image sharper.
+Large discs draw a wall of one colour as well as small ones do, but not an edge. With the same number of Gaussians, the
+image is sharper if smooth parts get fewer and detailed parts more.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from panobench.cameras.erp import ErpCamera
 from panobench.methods.splatting.seeding import equal_area_pixels
 from panobench.splat.gaussians import F32
 
-#: Gradient (of 1, per pixel at the equator) that noise alone may have: below it nothing is a detail.
+#: Gradient (of 1, per pixel at the equator) that noise alone may cause; smaller ones are no detail.
 _NOISE = 0.006
-#: Pixels over which detail is gathered: what is near an edge is seeded like the edge.
+#: Pixels over which detail is averaged, so that pixels near an edge are seeded like the edge.
 _REACH = 2.0
-#: Of rows and columns, one in so many says how detailed the image's most detailed parts are.
+#: One row and column in so many is enough to find the quantiles of detail.
 _SPARSE = 3
 _LATITUDE_COSINE_MIN = 0.3
 

@@ -1,9 +1,9 @@
-"""Splitting discs that are too coarse for what is seen of them: the map gets finer where the camera comes near.
+"""Splitting: discs that are too coarse for a view are halved, so the map gets finer where the camera comes near.
 
-A disc is as large as its share of the image it was seeded in. Seen from nearer it covers many pixels of which it can
-only be the mean. Where the image differs from the render there, it is replaced by two halves of itself, side by side
-along its longer axis and in its own plane, so that the surface stays where it is. (3D Gaussian splatting splits by the
-gradient across the image instead: Kerbl et al., 2023.)
+A disc is as large as its share of the image that it was seeded in. From nearer it covers many pixels, of which it can
+only show the mean. Where the image differs from the render, two halves replace it, side by side along its longer axis
+and in its own plane, so that the surface stays where it is. (3D Gaussian splatting splits by the gradient across the
+image instead: Kerbl et al., 2023.)
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from panobench.geometry import matrix_from_quaternion
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.render import Render
 
-#: Halves stand so many standard deviations of the whole from its centre, and are so much shorter. (Two normal
-#: distributions of 0.7 sigma at +-0.7 sigma have the variance of the whole.)
+#: Offset of the halves from the centre, in standard deviations of the whole, and their length over the whole's. Two
+#: normal distributions of 0.7 sigma at +-0.7 sigma have the variance of the whole.
 _OFFSET, _SHORTER = 0.7, 0.7
-#: Least sum of blending weights, in pixels: what is hardly seen is not judged.
+#: Least sum of blending weights, in pixels, of a disc that may be split.
 _SEEN_MIN = 1.0
 
 
