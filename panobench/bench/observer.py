@@ -20,6 +20,9 @@ class Observer:
     def log(self, line: str) -> None:
         """A line was added to log.txt."""
 
+    def warn(self, text: str) -> None:
+        """Something that the user should know while the run goes on."""
+
     def started(self, total: int, truth: Trajectory | None) -> None:
         """Tracking begins; ``truth`` is for showing the error so far."""
 

@@ -138,6 +138,11 @@ def _track(
 
     sequence, needs = setup.sequence, setup.spec.needs
     truth = sequence.groundtruth
+
+    def warn(line: str) -> None:
+        log(f"warning: {line}")
+        observer.warn(line)
+
     with tempfile.TemporaryDirectory(prefix="work-", dir=folder, ignore_cleanup_errors=True) as work:
         context = MethodContext(
             seed=request.seed,
@@ -146,6 +151,7 @@ def _track(
             imu=sequence.imu if "imu" in needs else None,
             poses=_poses(sequence, truth) if "poses" in needs and truth is not None else None,
             log=log,
+            warn=warn,
         )
         observer.started(len(sequence), truth)
         observer.stage("tracking")

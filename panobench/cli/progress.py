@@ -61,6 +61,9 @@ class ProgressBar(Observer):
         if self._verbose:
             self._console.print(line, markup=False, highlight=False, soft_wrap=True)
 
+    def warn(self, text: str) -> None:
+        self._console.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
+
     def started(self, total: int, truth: Trajectory | None) -> None:
         self._progress.update(self._task, total=total)
         if truth is not None:

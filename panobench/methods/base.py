@@ -33,6 +33,7 @@ class MethodContext:
     imu:        inertial samples when the method's spec says it needs them.
     poses:      camera-to-world poses by frame index, only for methods whose spec needs "poses".
     log:        one line for the run's log.txt.
+    warn:       one line that the user should see at once; it is logged too (contract 1.1).
     """
 
     seed: int = 0
@@ -41,6 +42,7 @@ class MethodContext:
     imu: Imu | None = None
     poses: dict[int, NDArray[np.float64]] | None = None
     log: Callable[[str], None] = _silent
+    warn: Callable[[str], None] = _silent
 
 
 @dataclass(frozen=True)

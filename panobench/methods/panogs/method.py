@@ -188,7 +188,7 @@ class PanogsMethod(OnlineMethod):
         self.first_depth = estimate
         self._enter(Phase.TRACKING)
         if estimate.message:
-            self.context.log(estimate.message)
+            (self.context.log if estimate.ok else self.context.warn)(estimate.message)
         waiting, self.waiting = self.waiting, []
         first = next(f for f in waiting if f.index == estimate.frame_index)
         view = View(first.index, first.image, np.eye(4))

@@ -12,6 +12,7 @@ from panobench.bench.config import override
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.datasets.rooms import RoomsDataset
+from panobench.depth.base import DepthEstimator
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.depth.simple import OracleDepth
 from panobench.geometry import umeyama
@@ -23,7 +24,7 @@ from panobench.methods.splatting.covisibility import overlap, update_window
 from panobench.methods.splatting.seeding import equal_area_pixels, fill_depth, seed_gaussians, surface_normals
 from panobench.methods.splatting.views import SeenGaussians, View
 from panobench.splat.render import Renderer
-from panobench.types import Estimate, Frame
+from panobench.types import DepthEstimate, Estimate, Frame
 
 FRAMES = 30
 
@@ -102,6 +103,21 @@ def test_one_frame_is_enough_for_an_answer() -> None:
     method.start(ErpCamera(64, 32), MethodContext(make_depth=BootstrapDepth))
     method.track(Frame(0, 0.0, np.random.default_rng(0).integers(0, 255, (32, 64, 3), dtype=np.uint8)))
     assert len(method.finish().trajectory) == 1
+
+
+def test_a_first_depth_that_failed_its_check_is_said_at_once() -> None:
+    class Failed(DepthEstimator):
+        def start(self, camera: Camera, seed: int = 0) -> None:
+            pass
+
+        def add(self, frame: Frame) -> DepthEstimate:
+            return DepthEstimate(np.full((32, 64), 2.0, np.float32), frame.index, ok=False, message="no depth to trust")
+
+    said: list[str] = []
+    method = PanogsMethod(configured(mapping__iterations=1, start__iterations=1))
+    method.start(ErpCamera(64, 32), MethodContext(make_depth=Failed, warn=said.append))
+    method.track(Frame(0, 0.0, np.random.default_rng(0).integers(0, 255, (32, 64, 3), dtype=np.uint8)))
+    assert said == ["no depth to trust"]
 
 
 def test_nothing_at_all_is_an_empty_answer() -> None:
