@@ -70,7 +70,7 @@ def _unexplained(solver: Solver, pyramids: list[list[F32]], solution: Solution) 
     scale = solver.coarse
     small = resize_down(solution.depth, scale.valid.shape)
     reference = solver.reference(pyramids[0], small, scale)
-    turn_only = replace(solver.align_options, turn_only=True)
+    rotation_only = replace(solver.align_options, rotation_only=True)
     away = [float(np.linalg.norm(solution.T_fr[k][:3, 3])) for k in solution.used]
     with_depth, without = 0.0, 0.0
     for k in solution.used[np.argsort(away)[-3:]]:
@@ -78,7 +78,7 @@ def _unexplained(solver: Solver, pyramids: list[list[F32]], solution: Solution) 
         with_depth += _cost(solver, reference, frame, T, solver.align_options)
         on_the_spot = T.copy()
         on_the_spot[:3, 3] = 0
-        without += _cost(solver, reference, frame, on_the_spot, turn_only)
+        without += _cost(solver, reference, frame, on_the_spot, rotation_only)
     return with_depth / max(without, 1e-9)
 
 

@@ -14,7 +14,7 @@ from panobench.geometry import invert_pose, renormalise
 from panobench.photometric.align import align, mean_cost
 from panobench.photometric.bundle import refine
 from panobench.photometric.pyramid import F32
-from panobench.photometric.reference import AlignOptions, Reference, make_reference, watchful
+from panobench.photometric.reference import AlignOptions, Reference, make_reference, reject_moving
 from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
 from panobench.photometric.sweep import reprojection_error
 from panobench.photometric.warp import camera_code
@@ -80,7 +80,7 @@ class Solver:
         self.code = camera_code(camera)[0]
         self.coarse = WorkingScale.of(camera, options.coarse_width)
         self.fine = WorkingScale.of(camera, options.fine_width)
-        self.align_options = watchful(camera, AlignOptions(exposure=True))
+        self.align_options = reject_moving(camera, AlignOptions(exposure=True))
 
     def reference(self, levels: list[F32], depth: F32, scale: WorkingScale) -> Reference:
         """``levels``: the reference frame's whole pyramid; depth (H, W) at ``scale``."""

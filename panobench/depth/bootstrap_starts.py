@@ -19,7 +19,7 @@ from panobench.photometric.align import Alignment, align, mean_cost
 from panobench.photometric.overlap import ViewShare
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import Reference
-from panobench.photometric.turn import TurnFinder
+from panobench.photometric.rotation_only import RotationOnlyAligner
 from panobench.types import Frame
 
 #: An alignment this much dearer than those before it is tried again from another guess.
@@ -75,20 +75,20 @@ class FlatStart(PoseStart):
         self.view = ViewShare(camera)
         self.seen: list[float] = []
         self.reference: Reference | None = None
-        self.turns: TurnFinder | None = None
+        self.aligner: RotationOnlyAligner | None = None
 
     def add(self, frame: Frame, pyramids: list[list[F32]]) -> None:
         k = len(self.T_fr)
-        if self.reference is None or self.turns is None:
+        if self.reference is None or self.aligner is None:
             self.reference = self.solver.flat(pyramids[0])
-            self.turns = TurnFinder(self.camera, len(pyramids[0]))
+            self.aligner = RotationOnlyAligner(self.camera, len(pyramids[0]))
             self.T_fr, self.seen = [np.eye(4)], [1.0]
             return
         found, cost = self._aligned(self.reference, pyramids[k], self._predicted())
         if k == 1 or not cost < DEARER * float(np.median(self.costs[-3:])):
-            turn = self.turns.turn(pyramids[k - 1], pyramids[k])
-            if turn is not None:
-                other, other_cost = self._aligned(self.reference, pyramids[k], turn @ self.T_fr[-1])
+            rotation = self.aligner.rotation(pyramids[k - 1], pyramids[k])
+            if rotation is not None:
+                other, other_cost = self._aligned(self.reference, pyramids[k], rotation @ self.T_fr[-1])
                 if other_cost < cost:
                     found, cost = other, other_cost
         self.T_fr.append(found.T_fr)

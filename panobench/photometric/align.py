@@ -1,9 +1,9 @@
-"""Direct image alignment: the pose of a frame against an image with depth, coarse to fine.
+"""Direct image alignment: the pose of a frame against a reference image with depth, coarse to fine.
 
-Inverse-compositional Gauss-Newton (Baker & Matthews, "Lucas-Kanade 20 years on", 2004) with points X = D s along the
-reference rays: residual I_f(pi(T X)) - gain I_r - offset, Jacobian from the reference image (it is the less noisy
-one; with the frame's, steps come out too short), weights cos(lat) x Huber, Levenberg-Marquardt damping, and a step
-is kept only if the mean robust cost falls.
+This is inverse-compositional Gauss-Newton (Baker & Matthews, "Lucas-Kanade 20 years on", 2004). A point X of the
+reference has the residual I_f(pi(T X)) - gain I_r - offset. The Jacobian is that of the reference image, which is the
+less noisy one; with the frame's, steps come out too short. Weights are solid angle times Huber's. Damping is
+Levenberg-Marquardt's, and a step is kept only if it lowers the mean robust cost.
 """
 
 from __future__ import annotations
@@ -14,21 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, se3_exp
-from panobench.photometric.normal import UNKNOWNS, UNSEEN, Normal, normal_equations
+from panobench.photometric.normal_equations import UNKNOWNS, UNSEEN, NormalEquations, normal_equations
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import DEFAULT, AlignOptions, Reference, ReferenceLevel
 
-#: Share of the view that must be off by more than ``AlignOptions.cut_moving`` for something to be moving there.
+#: Something is moving where more than this share of the view has residuals above ``AlignOptions.cut_moving``.
 _MOVING_SHARE = 0.05
 
 
 @dataclass
 class Alignment:
-    """T_fr (4, 4): frame from reference camera. cost: mean robust cost; sigma: robust standard deviation of the
-    residuals on the last level; overlap: weight share that was seen.
+    """The result of ``align``; figures are of the last level.
 
-    hessian (6, 6) at the solution over (translation, rotation) of the reference camera, on the finest level.
-    converged: the last level stopped because steps became small. gain, offset: frame = exp(gain) render + offset.
+    T_fr (4, 4): frame from reference camera. cost: mean robust cost. sigma: robust standard deviation of the residuals,
+    of 1. overlap: share of the reference's weight that was seen. iterations: over all levels. converged: the last level
+    ended because its steps became small. hessian (6, 6): over a twist (translation, rotation) of the reference camera.
+    gain, offset: frame = exp(gain) reference + offset. costs: of each level.
     """
 
     T_fr: NDArray[np.float64]
@@ -45,14 +46,14 @@ class Alignment:
 
 @dataclass(frozen=True)
 class _State:
-    """A candidate solution: pose, log gain, offset."""
+    """A candidate solution: pose T (4, 4), log gain, offset."""
 
     T: NDArray[np.float64]
     gain: float
     offset: float
 
     def moved(self, x: NDArray[np.float64]) -> _State:
-        """J x ~ r for the reference's own motion x; the frame's motion is its inverse."""
+        """The state after the step x (6,) or (8,), which moves the reference; the frame moves by its inverse."""
         gain, offset = (self.gain + x[6], self.offset + x[7]) if len(x) > 6 else (self.gain, self.offset)
         return _State(self.T @ se3_exp(-x[:6]), gain, offset)
 
@@ -68,12 +69,14 @@ def align(
     gain: float = 0.0,
     offset: float = 0.0,
 ) -> Alignment:
-    """Align a frame (luma pyramid, level 0 full size) to ``reference`` from the start pose ``T_fr``.
+    """Align a frame to ``reference``.
 
-    Levels from ``coarsest`` (None: the smallest both have) down to ``finest`` are used in turn.
+    frame: its luma pyramid (H, W) float32 in 0..1, level 0 full size. T_fr (4, 4): pose to start from, frame from
+    reference camera. Levels are used from ``coarsest`` (None: the smallest that both have) down to ``finest``. gain,
+    offset: of the frame, to start from, or to keep without ``options.exposure``.
     """
     x = np.zeros(UNKNOWNS if options.exposure else 6)
-    free = slice(3 if options.turn_only else 0, len(x))
+    free = slice(3 if options.rotation_only else 0, len(x))
     top = min(len(reference.levels), len(frame)) - 1
     first = top if coarsest is None else min(coarsest, top)
     state = _State(renormalise(T_fr), gain, offset)
@@ -82,7 +85,9 @@ def align(
     for step, level_index in enumerate(range(first, min(finest, first) - 1, -1)):
         level, image = reference.levels[level_index], frame[level_index]
 
-        def evaluate(s: _State, huber: float, cut: float, level: ReferenceLevel = level, image: F32 = image) -> Normal:
+        def evaluate(
+            s: _State, huber: float, cut: float, level: ReferenceLevel = level, image: F32 = image
+        ) -> NormalEquations:
             return normal_equations(
                 level, image, reference.code, s.T, s.gain, s.offset, huber, cut, exposure=options.exposure
             )
@@ -138,9 +143,9 @@ def align(
 def mean_cost(
     reference: Reference, frame: list[F32], found: Alignment, huber: float, level: int = 0
 ) -> tuple[float, float]:
-    """Mean robust cost of an alignment with a Huber threshold of one's own, and the weight share that was seen.
+    """Mean robust cost of an alignment under a given Huber threshold (of 1), and the share of the weight seen.
 
-    Costs of ``align`` have thresholds that follow the residuals and cannot be compared with one another; these can.
+    The thresholds of ``align`` follow the residuals, so that its costs cannot be compared with each other; these can.
     """
     level = min(level, len(reference.levels) - 1, len(frame) - 1)
     now = normal_equations(

@@ -1,8 +1,9 @@
-"""Joint refinement of frame poses and the depths of selected reference pixels (photometric bundle adjustment).
+"""Photometric bundle adjustment: poses of frames and depths of a reference's pixels, refined together.
 
-Alternating pose and depth creeps along the directions in which both compensate each other (a turn of all frames
-against a tilt of the whole scene); solving for both at once does not. Every pixel has one unknown, its log depth, so
-it is eliminated by the Schur complement (Engel et al., "Direct sparse odometry", 2018, without its sliding window).
+Refining poses and depths in alternation creeps along the directions in which both compensate each other, such as a
+rotation of all frames against a tilt of the whole scene; solving for both at once does not. Each pixel has a single
+unknown, its log depth, which the Schur complement eliminates (Engel et al., "Direct sparse odometry", 2018, without
+its sliding window). The scale of the scene is a free gauge.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from numpy.typing import NDArray
 from panobench.geometry import renormalise, se3_exp
 from panobench.kernels.columns import CAM
 from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
-from panobench.photometric.normal import add_rotation_rows, add_translation_rows
+from panobench.photometric.normal_equations import add_rotation_rows, add_translation_rows
 from panobench.photometric.pyramid import F32
 from panobench.photometric.warp import PER_TURN, project, sample_run
 
-#: Runs of pixels whose sums are taken apart: the same for every number of threads, so that the sums are too.
-_BLOCKS = 8
-#: Pixels worked together.
-_TOGETHER = 256
-#: Relative gain of an iteration below which it was the last.
-_SMALL = 1e-4
+#: Runs of pixels that are summed separately. They do not depend on the number of threads, and so neither do the sums.
+_RUNS = 8
+#: Pixels in a block, which are processed together.
+_BLOCK = 256
+#: An iteration that lowers the cost by less than this share is the last.
+_CONVERGED = 1e-4
 #: Iterations with the nearest frames alone, and before the pixels that fit worst are left out.
 _NEAR_ITERATIONS, _BEFORE_TRIMMING = 6, 2
 Pose = NDArray[np.float64]
@@ -35,10 +36,17 @@ _F0, _F1, _HALF, _OUTSIDE, _NAN = np.float32(0), np.float32(1), np.float32(0.5),
 
 @dataclass(frozen=True)
 class BundleOptions:
-    """cell_px: one pixel, that with the largest gradient, per cell. huber, cut: residuals, in robust standard
-    deviations at the start, where the cost turns linear and where a residual (an occlusion, say) stops counting;
-    sigma_min: least standard deviation assumed (of 1). depth_edge: as in alignment. near: so many nearest frames are
-    adjusted alone first; 0: none. trim: share of the pixels, those that fit worst, that are left out.
+    """Options of ``refine``. Residuals are of 1, the range of luma.
+
+    cell_px: one pixel, that with the largest gradient, is selected in each cell of this size.
+    gradient_min: least gradient of a selected pixel, of 1 per pixel.
+    latitude_limit_deg, depth_edge: as in ``AlignOptions``.
+    iterations: most iterations of Levenberg-Marquardt.
+    huber, cut: Huber's threshold, and the residual above which a pixel does not count (an occlusion, say); both in
+    robust standard deviations of the residuals at the start.
+    sigma_min: least standard deviation assumed, of 1.
+    trim: share of the pixels, those that fit worst, that is left out.
+    near: this many nearest frames are adjusted alone first; 0 for none.
     """
 
     cell_px: int = 3
@@ -55,12 +63,13 @@ class BundleOptions:
 
 @dataclass(frozen=True)
 class Bundle:
-    """T_fr (F, 4, 4): the refined poses, at the scale of the depth given; cost: mean robust cost, inf if nothing could
-    be done.
+    """The result of ``refine``.
 
-    information (6F, 6F), gradient (6F,): the quadratic that is left of the cost over left twists (translation,
-    rotation) of T_fr once the depths are eliminated, in units of the residuals' variance. A common scale of all
-    translations costs nothing.
+    T_fr (F, 4, 4): refined poses, frame from reference camera, at the scale of the depth given. cost: mean robust cost,
+    inf if nothing could be refined.
+    information (6F, 6F), gradient (6F,): what is left of the cost once the depths are eliminated: a quadratic over left
+    twists (translation, rotation) of T_fr, in units of the residuals' variance. A common scale of all translations
+    does not change it.
     """
 
     T_fr: NDArray[np.float64]
@@ -75,7 +84,10 @@ class Bundle:
 
 @njit(**JIT_FINITE)
 def _jacobians(points, R, t, code, cam, gx, gy, J, jd):  # type: ignore[no-untyped-def]
-    """J (6, n) by the left twist and jd (n,) by the log depth, from the image's slopes (n,) at points (3, n)."""
+    """Write the residuals' derivatives: J (6, n) by a left twist of R, t, and jd (n,) by the log depth.
+
+    points (3, n): in the reference camera's frame; gx, gy (n,): the image's gradient where they are seen.
+    """
     a, e = cam[CAM.width] * PER_TURN, np.float32(2) * cam[CAM.height] * PER_TURN
     for k in range(len(gx)):
         px, py, pz = points[0, k], points[1, k], points[2, k]
@@ -100,9 +112,10 @@ def _jacobians(points, R, t, code, cam, gx, gy, J, jd):  # type: ignore[no-untyp
 
 @njit(**JIT)
 def _robust(seen, value, huber, cut, r, w, gx, gy, cost, size):  # type: ignore[no-untyped-def]
-    """Samples and slopes -> residuals r, Huber weights w, sizes |r|; adds to the pixels' costs.
+    """Samples ``seen`` and gradients (n,) -> residuals r, Huber weights w and absolute residuals size (n,).
 
-    What is unknown (NaN: masked or outside) or beyond ``cut`` pulls nothing and costs what one at the cut does.
+    The pixels' costs are added to ``cost`` (n,). Samples that are masked or outside (NaN) or beyond ``cut`` have no
+    weight, and cost what one at the cut does.
     """
     unseen = huber * (cut - _HALF * huber)
     for k in range(len(value)):
@@ -120,7 +133,7 @@ def _robust(seen, value, huber, cut, r, w, gx, gy, cost, size):  # type: ignore[
 
 @njit(**JIT)
 def _depth_rows(w, r, J, jd, Hpd, Hdd, bd):  # type: ignore[no-untyped-def]
-    """Add the pixels' own share: Hdd, bd (n,); Hpd (6, n) is written."""
+    """Add to Hdd, bd (n,), the entries of the log depths, and write Hpd (6, n), those of the pose with each of them."""
     for k in range(len(w)):
         wd = w[k] * jd[k]
         Hdd[k] += wd * jd[k]
@@ -134,13 +147,13 @@ def _depth_rows(w, r, J, jd, Hpd, Hdd, bd):  # type: ignore[no-untyped-def]
 def _residuals_of(  # type: ignore[no-untyped-def]
     first, last, value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size
 ):
-    """Pixels ``first`` to ``last`` - 1 of ``_residuals``, some at a time so that all is vectors."""
-    u, v, seen = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
-    r, w, jd = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
-    gx, gy = np.empty(_TOGETHER, np.float32), np.empty(_TOGETHER, np.float32)
-    J = np.empty((6, _TOGETHER), np.float32)
-    for lo in range(first, last, _TOGETHER):
-        hi = min(lo + _TOGETHER, last)
+    """Pixels first .. last - 1 of ``_residuals``, a block at a time, so that all loops are vectorised."""
+    u, v, seen = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    r, w, jd = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    gx, gy = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    J = np.empty((6, _BLOCK), np.float32)
+    for lo in range(first, last, _BLOCK):
+        hi = min(lo + _BLOCK, last)
         m = hi - lo
         X = points[:, lo:hi]
         for f in range(frames.shape[0]):
@@ -155,23 +168,26 @@ def _residuals_of(  # type: ignore[no-untyped-def]
 
 @njit(**PARALLEL)
 def _residuals(value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size):  # type: ignore[no-untyped-def]
-    """Normal equations, added to zeros. points (3, P): of the reference. Of every pixel: Hpd (F, 6, P), Hdd, bd (P,),
-    cost (P,), size (F, P): |residual|, NaN where unseen; summed over runs of pixels: Hpp (B, F, 6, 6) upper
-    triangles, bp (B, F, 6).
+    """Normal equations of P pixels in F frames; the arrays written come in as zeros.
+
+    value (P,), points (3, P): luma and position of the reference's pixels. frames (F, H, W); R (F, 3, 3), t (F, 3):
+    frame from reference camera. huber, cut: of 1. Written for each pixel: Hpd (F, 6, P), Hdd, bd, cost (P,), and size
+    (F, P), the absolute residual, NaN where unseen. Written for each run of pixels: Hpp (runs, F, 6, 6), upper
+    triangles, and bp (runs, F, 6).
     """
-    blocks = Hpp.shape[0]
-    share = (len(value) + blocks - 1) // blocks
-    for block in prange(blocks):
+    runs = Hpp.shape[0]
+    share = (len(value) + runs - 1) // runs
+    for run in prange(runs):
         _residuals_of(
-            block * share, min((block + 1) * share, len(value)), value, points, frames, R, t, code, cam, huber, cut,
-            Hpd, Hdd, bd, Hpp[block], bp[block], cost, size,
+            run * share, min((run + 1) * share, len(value)), value, points, frames, R, t, code, cam, huber, cut,
+            Hpd, Hdd, bd, Hpp[run], bp[run], cost, size,
         )  # fmt: skip
 
 
 def select_pixels(
     luma: F32, rays: F32, depth: F32, options: BundleOptions
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the strongest pixel of each cell of a reference (H, W)."""
+    """Rows and columns (n,) of the pixel with the largest gradient in each cell; luma, depth (H, W), rays (H, W, 3)."""
     gx = 0.5 * (np.roll(luma, -1, axis=1) - np.roll(luma, 1, axis=1))
     gy = np.zeros_like(luma)
     gy[1:-1] = 0.5 * (luma[2:] - luma[:-2])
@@ -191,8 +207,10 @@ def select_pixels(
 
 @dataclass(frozen=True)
 class _Problem:
-    """What is adjusted: reference pixels by value (n,), ray (n, 3) and log depth ``start`` (n,), seen in ``frames``
-    (F, H, W); huber, cut: in the unit of the images.
+    """What is adjusted: the reference's pixels as seen in F frames.
+
+    value (n,), rays (n, 3): luma and unit ray. start (n,): log depths to start from. frames (F, H, W). code, cam: as
+    from ``camera_code``. huber, cut: of 1.
     """
 
     value: F32
@@ -205,8 +223,9 @@ class _Problem:
     cut: float = 10.0
 
     def linearise(self, T: Pose, s: NDArray[np.float64]) -> _System:
+        """Normal equations at poses T (F, 4, 4) and log depths s (n,)."""
         F, n = len(self.frames), len(self.value)
-        Hpd, bp, Hpp = np.empty((F, 6, n)), np.zeros((_BLOCKS, F, 6)), np.zeros((_BLOCKS, F, 6, 6))
+        Hpd, bp, Hpp = np.empty((F, 6, n)), np.zeros((_RUNS, F, 6)), np.zeros((_RUNS, F, 6, 6))
         Hdd, bd, costs, size = np.zeros(n), np.zeros(n), np.zeros(n), np.empty((F, n), np.float32)
         R, t = T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32)
         points = (self.rays.T * np.exp(s)).astype(np.float32)
@@ -216,27 +235,30 @@ class _Problem:
         )
         return _System(Hpd.reshape(6 * F, n), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), costs, size)
 
-    def calibrated(self, T: Pose, s: NDArray[np.float64], options: BundleOptions) -> tuple[_Problem, float] | None:
-        """With thresholds that follow the residuals, and their robust standard deviation; None if nothing is seen."""
+    def with_thresholds(self, T: Pose, s: NDArray[np.float64], options: BundleOptions) -> tuple[_Problem, float] | None:
+        """The problem with thresholds that follow its residuals, and their robust standard deviation (of 1).
+
+        None if no frame sees any pixel.
+        """
         size = self.linearise(T, s).size
         if not np.isfinite(size).any():
             return None
         sigma = max(1.4826 * float(np.nanmedian(size)), options.sigma_min)
         return replace(self, huber=options.huber * sigma, cut=options.cut * sigma), sigma
 
-    def only(self, keep: NDArray[np.bool_]) -> _Problem:
-        """These pixels alone."""
+    def select(self, keep: NDArray[np.bool_]) -> _Problem:
+        """The problem of the pixels that ``keep`` (n,) marks."""
         return replace(self, value=self.value[keep], rays=self.rays[keep], start=self.start[keep])
 
-    def descend(self, T: Pose, s: NDArray[np.float64], iterations: int) -> tuple[Pose, NDArray[np.float64], _System]:
-        """Levenberg-Marquardt from poses T (F, 4, 4) and log depths s (n,), and the system where it ends."""
+    def minimise(self, T: Pose, s: NDArray[np.float64], iterations: int) -> tuple[Pose, NDArray[np.float64], _System]:
+        """Levenberg-Marquardt from poses T (F, 4, 4) and log depths s (n,): the new ones, and the system there."""
         now, damping = self.linearise(T, s), 1e-3
         for _ in range(iterations):
             x, ds = now.step(damping)
             T_new, s_new = renormalise(se3_exp(x.reshape(-1, 6)) @ T), s + np.clip(ds, -0.3, 0.3)
             trial = self.linearise(T_new, s_new)
             if trial.cost < now.cost:
-                small = now.cost - trial.cost < _SMALL * now.cost
+                small = now.cost - trial.cost < _CONVERGED * now.cost
                 T, s, now = T_new, s_new, trial
                 damping = max(damping * 0.3, 1e-6)
                 if small:
@@ -258,9 +280,10 @@ def refine(
     cam: F32,
     options: BundleOptions = BundleOptions(),
 ) -> Bundle:
-    """Poses (F, 4, 4) of ``frames`` (F, H, W) from the reference, refined together with the depth of its pixels.
+    """Refine the poses T_fr (F, 4, 4) of ``frames`` (F, H, W), together with the depth of a reference's pixels.
 
-    luma, depth (H, W), rays (H, W, 3) of the reference. Too few usable pixels: the poses as they came, not ``ok``.
+    luma (H, W), of 1, rays (H, W, 3) and radial depth (H, W) are the reference's; luma and depth NaN where unknown.
+    code, cam: as from ``camera_code``. With too few usable pixels the poses come back as they were, and not ``ok``.
     """
     ys, xs = select_pixels(luma, rays, depth, options)
     F = len(frames)
@@ -271,18 +294,18 @@ def refine(
     problem = _Problem(luma[ys, xs], np.ascontiguousarray(rays[ys, xs]), s, frames, code, cam)
     if 0 < options.near < F:
         T, s = _from_near(problem, T, s, options)
-    found = problem.calibrated(T, s, options)
+    found = problem.with_thresholds(T, s, options)
     if found is None:
         return nothing
     problem, sigma = found
     if options.trim:
-        T, s, now = problem.descend(T, s, _BEFORE_TRIMMING)
+        T, s, now = problem.minimise(T, s, _BEFORE_TRIMMING)
         keep = now.costs <= np.quantile(now.costs, 1 - options.trim)
-        problem, s = problem.only(keep), s[keep]
-    T, s, now = problem.descend(T, s, options.iterations)
-    scale = _taken_back(s - problem.start, now)
+        problem, s = problem.select(keep), s[keep]
+    T, s, now = problem.minimise(T, s, options.iterations)
+    scale = _gauge_scale(s - problem.start, now)
     T[:, :3, 3] *= scale
-    A, b, _ = now.reduced(0.0)
+    A, b, _ = now.schur_complement(0.0)
     unit = np.tile(np.repeat([1.0 / scale, 1.0], 3), F)
     return Bundle(T, now.cost / now.size.size, A * unit[:, None] * unit / sigma**2, b * unit / sigma**2)
 
@@ -290,23 +313,27 @@ def refine(
 def _from_near(
     problem: _Problem, T: Pose, s: NDArray[np.float64], options: BundleOptions
 ) -> tuple[Pose, NDArray[np.float64]]:
-    """Poses and log depths once the nearest frames have been adjusted alone.
+    """Poses and log depths after an adjustment of the nearest frames alone.
 
-    Wrong depths are off by little there, by less than what the slope of an image reaches; in far frames by more.
+    A wrong depth moves a pixel less in near frames, by less than the reach of the image's gradient; in far frames by
+    more.
     """
     near = np.argsort(np.linalg.norm(T[:, :3, 3], axis=1))[: options.near]
-    found = replace(problem, frames=problem.frames[near]).calibrated(T[near], s, options)
+    found = replace(problem, frames=problem.frames[near]).with_thresholds(T[near], s, options)
     if found is None:
         return T, s
     T = T.copy()
-    T[near], s, now = found[0].descend(T[near], s, _NEAR_ITERATIONS)
-    scale = _taken_back(s - problem.start, now)
+    T[near], s, now = found[0].minimise(T[near], s, _NEAR_ITERATIONS)
+    scale = _gauge_scale(s - problem.start, now)
     T[near, :3, 3] *= scale
     return T, s + np.log(scale)
 
 
-def _taken_back(change: NDArray[np.float64], now: _System) -> float:
-    """The scale is free: the factor that undoes what all log depths changed by, the best determined counting most."""
+def _gauge_scale(change: NDArray[np.float64], now: _System) -> float:
+    """The factor on all depths and translations that restores the scale of the depths given, which is a free gauge.
+
+    It undoes the median change (n,) of the log depths, weighted by how well each of them is determined.
+    """
     by_size, weights = np.argsort(change), np.maximum(now.Hdd, 0)
     half = np.searchsorted(np.cumsum(weights[by_size]), 0.5 * weights.sum())
     return float(np.exp(-change[by_size[min(half, len(change) - 1)]]))
@@ -314,7 +341,10 @@ def _taken_back(change: NDArray[np.float64], now: _System) -> float:
 
 @dataclass(frozen=True)
 class _System:
-    """Normal equations as ``_residuals`` writes them, its runs of pixels summed; cost: of all pixels."""
+    """Normal equations of n pixels in F frames, as ``_residuals`` writes them, with its runs of pixels summed.
+
+    Hpd (6F, n), Hdd, bd, costs (n,), Hpp (F, 6, 6), bp (6F,), size (F, n).
+    """
 
     Hpd: NDArray[np.float64]
     Hdd: NDArray[np.float64]
@@ -328,8 +358,8 @@ class _System:
     def cost(self) -> float:
         return float(self.costs.sum())
 
-    def reduced(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """H (6F, 6F) and b (6F,) over the poses with the depths eliminated, and the inverse of Hdd (n,)."""
+    def schur_complement(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """H (6F, 6F) and b (6F,) over the poses once the depths are eliminated, and the inverse of Hdd (n,)."""
         F = len(self.Hpp)
         H = np.zeros((F, 6, F, 6))
         H[np.arange(F), :, np.arange(F), :] = self.Hpp + np.triu(self.Hpp, 1).swapaxes(1, 2)
@@ -340,8 +370,8 @@ class _System:
         return A - whitened @ whitened.T, self.bp - self.Hpd @ (inverse * self.bd), inverse
 
     def step(self, damping: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Left twists (6F,) of the poses and changes (n,) of the log depths."""
-        A, b, inverse = self.reduced(damping)
+        """The step: left twists (6F,) of the poses, and changes (n,) of the log depths."""
+        A, b, inverse = self.schur_complement(damping)
         A[np.diag_indices(len(A))] += 1e-9 * np.trace(A) / len(A)
         x = np.asarray(np.linalg.solve(A, -b), np.float64)
         return x, -inverse * (self.bd + self.Hpd.T @ x)

@@ -1,8 +1,8 @@
-"""Smoothing a depth map with the prior that rooms are piecewise planar.
+"""A filter of depth maps with the prior that rooms are piecewise planar.
 
-On a plane n.X = c the inverse radial depth is linear in the ray, 1/d = (n/c).r, whatever the camera. So every pixel is
-replaced by a least-squares fit of that form to its neighbours, weighted by how well their own depth is determined,
-by similarity of brightness and of depth (a bilateral filter with planes for constants).
+On a plane n.X = c the inverse radial depth is linear in the ray, 1 / d = (n / c).r, whatever the camera. Each pixel is
+therefore replaced by a least-squares fit of that form to its neighbours, weighted by how well their own depth is
+determined and by similarity of luma and of depth: a bilateral filter that fits planes instead of constants.
 """
 
 from __future__ import annotations
@@ -17,12 +17,17 @@ from panobench.photometric.warp import sample, to_pixel
 _Z_MAX = np.float32(12)
 _E1, _E2, _E3 = np.float32(1), np.float32(1 / 2), np.float32(1 / 6)
 _E4, _E5, _E6 = np.float32(1 / 24), np.float32(1 / 120), np.float32(1 / 720)
+# Offsets in a row's table, in units of its width: information and ray; inverse depth and luma are at 0 and 1.
 _U = tuple(np.uint64(k) for k in range(9))
+_INFORMATION, _RAY = _U[2], _U[3:6]
 
 
 @njit(**PARALLEL)
 def depth_information(reference, depth, rays, frames, R, t, code, cam, out):  # type: ignore[no-untyped-def]
-    """Sum over frames of (dI / d log depth)^2 at the current depth (H, W): how firmly the images fix it."""
+    """Write out (H, W), the sum over frames of (dI / d log depth)^2: how well the images determine the depth (H, W).
+
+    The other arguments are as in ``sweep.reprojection_error``.
+    """
     h, w = reference.shape
     step = np.float32(0.03)
     for y in prange(h):
@@ -49,10 +54,10 @@ def depth_information(reference, depth, rays, frames, R, t, code, cam, out):  # 
 
 @njit(**JIT_FINITE)
 def _gather_run(first, count, shift, w, here, there, by_luma, by_depth, sums):  # type: ignore[no-untyped-def]
-    """Add to the sums of ``count`` pixels of a row what their neighbours, ``shift`` further on in another, say.
+    """Add the neighbours ``shift`` columns further on in row ``there`` to the sums of ``count`` pixels of row ``here``.
 
-    here, there (6 w,): inverse distance, luma, trust and ray of both rows; sums (9 w,): N, upper triangle, and b. Flat
-    arrays and unsigned indices are what lets LLVM vectorise this.
+    here, there (6 w,): inverse depth, luma, information and ray (3) of the rows' pixels. sums (9 w,): the normal
+    equations N a = b, upper triangle and b. Flat arrays and unsigned indices let LLVM vectorise this.
     """
     for j in range(count):
         x = first + j
@@ -66,9 +71,9 @@ def _gather_run(first, count, shift, w, here, there, by_luma, by_depth, sums):  
         k = k * k
         k = k * k
         k = k * k
-        k = k * k * there[p + w * _U[2]]
+        k = k * k * there[p + w * _INFORMATION]
         k = k if z < _Z_MAX else np.float32(0)
-        r0, r1, r2 = there[p + w * _U[3]], there[p + w * _U[4]], there[p + w * _U[5]]
+        r0, r1, r2 = there[p + w * _RAY[0]], there[p + w * _RAY[1]], there[p + w * _RAY[2]]
         k0, k1, k2 = k * r0, k * r1, k * r2
         sums[x] += k0 * r0
         sums[x + w] += k0 * r1
@@ -83,9 +88,9 @@ def _gather_run(first, count, shift, w, here, there, by_luma, by_depth, sums):  
 
 @njit(**JIT)
 def _solve(n, rho, r0, r1, r2):  # type: ignore[no-untyped-def]
-    """Inverse distance at ray r of the plane that fits the sums n (9,): N a = b, then a.r."""
+    """Inverse depth a.r at ray r of the plane that solves the normal equations N a = b in n (9,); rho: that before."""
     n00, n01, n02, n11, n12, n22 = float(n[0]), float(n[1]), float(n[2]), float(n[3]), float(n[4]), float(n[5])
-    # A pull towards "constant depth around this ray" keeps the 3x3 system solvable.
+    # A weak prior of constant depth around this ray keeps the 3 x 3 system solvable.
     ridge = 1e-6 * (n00 + n11 + n22) + 1e-9
     n00, n11, n22 = n00 + ridge, n11 + ridge, n22 + ridge
     b0, b1, b2 = n[6] + ridge * rho * r0, n[7] + ridge * rho * r1, n[8] + ridge * rho * r2
@@ -100,10 +105,11 @@ def _solve(n, rho, r0, r1, r2):  # type: ignore[no-untyped-def]
 
 @njit(**PARALLEL)
 def planar_filter(depth, information, luma, rays, radius, stride, sigma_luma, sigma_depth, floor, wrap, out):  # type: ignore[no-untyped-def]
-    """Fit 1/d = a.r around every pixel and evaluate it there. (H, W) -> out (H, W).
+    """Fit 1 / d = a.r around each pixel of a depth map (H, W), and evaluate it there, out (H, W).
 
-    radius in pixels (of the equator: columns are widened by 1 / cos latitude), every ``stride``-th neighbour;
-    sigma_luma absolute, sigma_depth relative; floor: least weight, in units of information. All inputs are finite.
+    information (H, W): weights, see ``depth_information``. luma (H, W), rays (H, W, 3): all inputs are finite. radius,
+    stride: of the neighbours, in pixels; in panoramas columns are widened by 1 / cos(latitude). sigma_luma (of 1) and
+    sigma_depth (relative): of the bilateral weights. floor: added to the information. wrap: columns wrap.
     """
     h, w = depth.shape
     by_luma, by_depth = np.float32(1 / sigma_luma), np.float32(1 / sigma_depth)
@@ -127,7 +133,7 @@ def planar_filter(depth, information, luma, rays, radius, stride, sigma_luma, si
                 continue
             for i in range(-(reach_x // step_x) * step_x, reach_x + 1, step_x):
                 lo, hi = max(-i, 0), min(w - i, w)
-                # Adding 2^64 - n takes n away.
+                # Indices are unsigned: a negative shift wraps around, so that adding it subtracts.
                 inside = np.uint64(hi - lo)
                 _gather_run(np.uint64(lo), inside, np.uint64(i), u_w, here, table[q], by_luma, by_depth, sums)
                 if wrap and lo > 0:

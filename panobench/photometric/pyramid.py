@@ -1,7 +1,7 @@
-"""Image pyramids by 2x2 area averages.
+"""Luma images, and their pyramids by averages of 2 x 2 pixels.
 
-A render and a frame that are to be compared must be shrunk by the same filter: rendering small instead is not the
-same image. Invalid pixels are NaN and stay out of every average.
+A render and a frame that are to be compared must be reduced by the same filter: a smaller render is not the same
+image. Invalid pixels are NaN and stay out of every average.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ def _luma_planes(planes, out):  # type: ignore[no-untyped-def]
 
 
 def luma_of_frame(image: NDArray[np.uint8], valid: NDArray[np.bool_]) -> F32:
-    """RGB (H, W, 3) uint8 -> (H, W) in 0..1, NaN where not ``valid``."""
+    """RGB (H, W, 3) uint8 -> luma (H, W) float32 in 0..1, NaN where not ``valid`` (H, W)."""
     out = np.empty(image.shape[:2], np.float32)
     _luma_u8(np.ascontiguousarray(image), valid, out)
     return out
 
 
 def luma_of_planes(planes: F32) -> F32:
-    """Colour planes (3, H, W) -> (H, W)."""
+    """Colour planes (3, H, W) of a render -> luma (H, W) float32, of 1."""
     out = np.empty(planes.shape[1:], np.float32)
     _luma_planes(planes, out)
     return out
@@ -55,7 +55,7 @@ def luma_of_planes(planes: F32) -> F32:
 
 @njit(**PARALLEL)
 def halve(image):  # type: ignore[no-untyped-def]
-    """(H, W) -> (H // 2, W // 2), mean of the finite ones of each 2x2 block; NaN if fewer than three are."""
+    """(H, W) -> (H // 2, W // 2): the mean of the known pixels of each block of 2 x 2; NaN if fewer than three are."""
     h, w = image.shape[0] // 2, image.shape[1] // 2
     out = np.empty((h, w), np.float32)
     for y in prange(h):
@@ -72,7 +72,7 @@ def halve(image):  # type: ignore[no-untyped-def]
 
 
 def pyramid(image: F32, smallest_width: int = 64) -> list[F32]:
-    """Level 0 is ``image`` (H, W); halved while the width stays at least ``smallest_width``."""
+    """Images by level: level 0 is ``image`` (H, W), then halved while the width stays at least ``smallest_width``."""
     levels = [image]
     while levels[-1].shape[1] // 2 >= smallest_width and levels[-1].shape[0] % 2 == 0:
         levels.append(halve(levels[-1]))

@@ -1,4 +1,4 @@
-"""What frames are aligned to: an image with depth, as selected pixels with points and Jacobians on a pyramid."""
+"""The reference that frames are aligned to: an image with depth, as selected pixels with Jacobians, on a pyramid."""
 
 from __future__ import annotations
 
@@ -12,22 +12,30 @@ from numba import njit, prange
 from panobench.cameras.base import Camera
 from panobench.kernels.columns import CAM
 from panobench.kernels.jit import JIT, PARALLEL
+from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pyramid import F32, halve
-from panobench.photometric.warp import camera_code, halved
+from panobench.photometric.warp import camera_code, parameters_at_level
 
 
 @dataclass(frozen=True)
 class AlignOptions:
-    """iterations: most per level, coarsest first (the last repeats). huber: residual where the cost turns linear, in
-    robust standard deviations of the level's residuals at its start, at least huber_min (of 1): with a fixed
-    threshold the few strong edges, where interpolation and occlusion err, outvote weakly textured walls.
-    cut: on the finest cut_levels levels, larger residuals (in units of the Huber threshold) do not count: regions the
-    reference has wrong. cut_moving, cut_moving_min: on all levels, residuals above both (in units of the Huber
-    threshold; of 1) do not count if a twentieth of the view has such, see ``watchful``. depth_edge: pixels whose four
-    neighbours span a larger ratio of depths (at full size) are left out. latitude_limit_deg: rows nearer the poles are
-    left out (alignment in (u, v) is ill-suited there).
-    step_m, step_rad: a level ends below both. exposure: also solve for gain and offset of the frame.
-    turn_only: keep the start's translation. pixels: of a level's, about how many are used at most, evenly spread.
+    """Options of ``align`` and ``make_reference``. Residuals are of 1, the range of luma.
+
+    iterations: most iterations on each level, coarsest first; the last number repeats.
+    huber, huber_min: Huber threshold, in robust standard deviations of the level's residuals at its start, and its
+    least value (of 1). A fixed threshold would let the few strong edges, where interpolation and occlusion cause
+    errors, outvote weakly textured walls.
+    cut, cut_levels: on the ``cut_levels`` finest levels, residuals above ``cut`` Huber thresholds do not count; they
+    are where the reference is wrong.
+    cut_moving, cut_moving_min: on all levels, residuals above ``cut_moving`` Huber thresholds and above
+    ``cut_moving_min`` (of 1) do not count if a twentieth of the view has such residuals; see ``reject_moving``.
+    depth_edge: pixels whose four neighbours span a larger ratio of depths, at full size, are not selected.
+    latitude_limit_deg: nor are rows nearer to the poles, where alignment in (u, v) is ill-conditioned.
+    step_m, step_rad: a level has converged when a step is shorter than both.
+    exposure: also solve for gain and offset of the frame.
+    gradient_min: least sum of the absolute derivatives (of 1 per pixel) of a pixel that is selected.
+    rotation_only: keep the translation of the start.
+    pixels: about how many pixels a level has at most, evenly spread; None for no limit.
     """
 
     iterations: tuple[int, ...] = (12, 8, 6, 5)
@@ -43,29 +51,35 @@ class AlignOptions:
     step_rad: float = 1e-5
     exposure: bool = False
     gradient_min: float = 2e-3
-    turn_only: bool = False
+    rotation_only: bool = False
     pixels: int | None = None
 
 
 #: The options when none are given.
 DEFAULT = AlignOptions()
-#: Views of more solid angle see enough of the scene past something large that moves.
+#: A view of more solid angle (steradians) sees enough of the static scene beside something large that moves.
 WIDE_SR = 3 * np.pi
 
 
-def watchful(camera: Camera, options: AlignOptions = DEFAULT) -> AlignOptions:
-    """``options`` under which what moves before a wide camera does not pull the pose.
+def reject_moving(camera: Camera, options: AlignOptions = DEFAULT) -> AlignOptions:
+    """``options`` with which a large moving object in front of a wide camera does not pull the pose.
 
-    The Huber cost alone bounds a pixel's pull, not that of a quarter of the view that moves together. Other views keep
-    theirs: in them the same residuals are the parallax by which a turn is told from a translation.
+    Huber's cost bounds the influence of a pixel, but not that of a quarter of the view that moves together. Cameras
+    with a narrower view keep their options: for them the same residuals are the parallax that tells a rotation from a
+    translation.
     """
-    wide = float(camera.solid_angle()[camera.valid_mask()].sum()) > WIDE_SR
+    wide = ViewWidth.of(camera, WIDE_SR) is ViewWidth.WIDE
     return replace(options, cut_moving=5.0) if wide else options
 
 
 @dataclass(frozen=True)
 class ReferenceLevel:
-    """Selected pixels of one pyramid level: points (3, n) camera frame, jacobian (6, n), value (n,), weight (n,)."""
+    """The n selected pixels of one pyramid level, float32.
+
+    points (3, n): in the reference camera's frame, in the unit of the depth. jacobian (6, n): derivative of the luma
+    by a twist (translation, rotation) of the points. value (n,): luma of 1. weight (n,): proportional to the pixel's
+    solid angle. camera (6,): see ``kernels.columns.CameraColumns``.
+    """
 
     points: F32
     jacobian: F32
@@ -81,7 +95,7 @@ class ReferenceLevel:
 
 @dataclass(frozen=True)
 class Reference:
-    """An image with depth, ready to align frames to; level 0 is full size."""
+    """An image with depth that frames can be aligned to. levels: level 0 is full size; code: of ``camera_code``."""
 
     levels: list[ReferenceLevel]
     code: int
@@ -89,7 +103,7 @@ class Reference:
 
 @njit(**JIT)
 def _pixel_angles(code, cam, w, h):  # type: ignore[no-untyped-def]
-    """Sine and cosine of every column's longitude and every row's latitude (panorama), (4, max(w, h))."""
+    """Sines and cosines, (4, max(w, h)), of a panorama's longitudes by column (0, 1) and latitudes by row (2, 3)."""
     out = np.empty((4, max(w, h)))
     if code == 0:
         for x in range(w):
@@ -105,9 +119,9 @@ def _pixel_angles(code, cam, w, h):  # type: ignore[no-untyped-def]
 def _select_row(  # type: ignore[no-untyped-def]
     y, image, depth, code, cam, angles, sin_limit, gradient_min, edge, keep, points, jacobian, value, weight, n, fill
 ):
-    """Selected pixels of row y, written from index n on if ``fill``; returns the new count.
+    """Select pixels of row y, and write them from index n on if ``fill``; returns n plus their number.
 
-    One in ``keep`` is looked at, in a slanted pattern, which no line of the image can miss.
+    One pixel in ``keep`` is considered, in a slanted pattern that no straight line of the image can miss.
     """
     w = image.shape[1]
     if code == 0 and abs(angles[2, y]) > sin_limit:
@@ -159,6 +173,7 @@ def _select_row(  # type: ignore[no-untyped-def]
 
 @njit(**PARALLEL)
 def _select(image, depth, code, cam, sin_limit, gradient_min, edge, keep):  # type: ignore[no-untyped-def]
+    """The points, Jacobians, values and weights of ``ReferenceLevel``; image, depth (H, W), NaN where unknown."""
     h = image.shape[0]
     angles = _pixel_angles(code, cam, image.shape[1], h)
     counts = np.zeros(h + 1, np.int64)
@@ -182,7 +197,7 @@ def _select(image, depth, code, cam, sin_limit, gradient_min, edge, keep):  # ty
 
 @njit(**PARALLEL)
 def _halve_depth(depth, ratio):  # type: ignore[no-untyped-def]
-    """Inverse-depth mean of 2x2 blocks; NaN where fewer than three are known or near and far differ by ``ratio``."""
+    """Mean inverse depth of 2x2 blocks; NaN where fewer than three are known or their depths differ by ``ratio``."""
     h, w = depth.shape[0] // 2, depth.shape[1] // 2
     out = np.empty((h, w), np.float32)
     for y in prange(h):
@@ -200,14 +215,17 @@ def _halve_depth(depth, ratio):  # type: ignore[no-untyped-def]
 
 
 def make_reference(camera: Camera, luma: F32, depth: F32, levels: int, options: AlignOptions = DEFAULT) -> Reference:
-    """Prepare a reference from luma (H, W) in 0..1 and radial depth (H, W), both NaN where unknown."""
+    """A reference from luma (H, W) in 0..1 and radial depth (H, W), both float32 and NaN where unknown.
+
+    Raises UnsupportedError for cameras that ``camera_code`` does not know.
+    """
     code, cam = camera_code(camera)
     sin_limit = float(np.sin(np.deg2rad(options.latitude_limit_deg)))
     out = []
     for level in range(levels):
         if level:
             luma, depth = halve(luma), _halve_depth(depth, 1.3)
-        parameters = halved(cam, level)
+        parameters = parameters_at_level(cam, level)
         keep = 1 if options.pixels is None else max(round(luma.size / options.pixels), 1)
         points, jacobian, value, weight = _select(
             luma, depth, code, parameters, sin_limit, options.gradient_min, 1 + (options.depth_edge - 1) * 2**level,

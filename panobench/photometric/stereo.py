@@ -1,4 +1,7 @@
-"""Depth of one image from several images with known poses: sweep, semi-global paths, parabola, median, planes."""
+"""Multi-view stereo: the depth of one image from several with known poses.
+
+A plane sweep, semi-global matching, a parabola through the least costs, a median filter and a piecewise-planar filter.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,25 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.photometric.planar import depth_information, planar_filter
 from panobench.photometric.pyramid import F32
-from panobench.photometric.sweep import padded, pick_shell, prefer_early, semi_global, smooth_cost, sweep_cost
+from panobench.photometric.sweep import (
+    padded,
+    semi_global,
+    smooth_cost,
+    sweep_cost,
+    temporal_selection,
+    winner_takes_all,
+)
 from panobench.photometric.warp import camera_code
 
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """shells: depths tried, equally spaced in log depth; sigma_px: aggregation; truncation: of the absolute luma
-    difference; p1, p2, edge: semi-global penalties; planar_*: see ``planar_filter``.
+    """Options of ``multi_view_depth``. Luma is of 1.
+
+    shells: number of depths tried, equally spaced in log depth. sigma_px: standard deviation of the aggregation in
+    pixels. truncation: of the absolute difference in luma. p1, p2, edge: penalties of ``semi_global``. half_min:
+    least number of frames in a half for ``temporal_selection``; half_ratio, half_margin: its thresholds. planar_*: of
+    ``planar_filter``; planar_floor in units of the median information.
     """
 
     shells: int = 48
@@ -39,7 +53,11 @@ class SweepOptions:
 
 @dataclass(frozen=True)
 class WorkingScale:
-    """One working width: its camera, rays (H, W, 3), valid pixels, kernel parameters and pyramid level."""
+    """A width to work at, and what belongs to it.
+
+    camera: scaled. rays (H, W, 3) float32: unit rays, 0 where a pixel has none. valid (H, W) bool. cam, code: as from
+    ``camera_code``. level: of the pyramid.
+    """
 
     camera: Camera
     rays: F32
@@ -50,7 +68,7 @@ class WorkingScale:
 
     @classmethod
     def of(cls, camera: Camera, width: int) -> WorkingScale:
-        """The largest size not above ``width`` that halving reaches."""
+        """For the largest size of at most ``width`` columns that repeated halving of the camera's reaches."""
         level, size = 0, (camera.width, camera.height)
         while size[0] > width and size[0] % 2 == 0 and size[1] % 2 == 0:
             level, size = level + 1, (size[0] // 2, size[1] // 2)
@@ -69,10 +87,10 @@ def multi_view_depth(
     far: float,
     options: SweepOptions = SweepOptions(),
 ) -> tuple[F32, F32]:
-    """Radial depth and confidence (0..1), both (H, W), of the image ``luma`` (H, W; NaN: invalid).
+    """Radial depth and confidence (0..1), both (H, W) float32, of the image ``luma`` (H, W), NaN where invalid.
 
-    images (F, H, W) of the same camera; T_fr (F, 4, 4): their pose from the reference camera; near, far: the range
-    swept, in the unit of the poses.
+    images (F, H, W): luma of other frames of the same camera, in temporal order. T_fr (F, 4, 4): their poses, frame
+    from reference camera. near, far: the range swept, in the unit of the poses.
     """
     o, wrap = options, scale.camera.kind == "erp"
     step = (np.log(far) - np.log(near)) / (o.shells - 1)
@@ -94,13 +112,13 @@ def multi_view_depth(
         early, late = costs(0, half), costs(half, n)
         early, late = (smooth_cost(c, o.sigma_px, wrap) for c in (early, late))
         cost = (early * np.float32(half / n)) + late * np.float32(1 - half / n)
-        prefer_early(cost, early, late, np.float32(o.half_ratio), np.float32(o.half_margin))
+        temporal_selection(cost, early, late, np.float32(o.half_ratio), np.float32(o.half_margin))
     else:
         cost = smooth_cost(costs(0, n), o.sigma_px, wrap)
     guide = np.nan_to_num(luma)
     total = semi_global(cost, guide, np.float32(o.p1), np.float32(o.p2), np.float32(o.edge), wrap)
     depth, confidence = np.empty(scale.valid.shape, np.float32), np.empty(scale.valid.shape, np.float32)
-    pick_shell(total, np.log(near), step, depth, confidence)
+    winner_takes_all(total, np.log(near), step, depth, confidence)
     depth = _median(depth, wrap)
     information, out = np.empty_like(depth), np.empty_like(depth)
     depth_information(luma, depth, scale.rays, images, R, t, scale.code, scale.cam, information)
@@ -114,7 +132,7 @@ def multi_view_depth(
 
 
 def _median(depth: F32, wrap: bool) -> F32:
-    """5x5 median, across the seam of a panorama."""
+    """Median of 5 x 5 pixels of a depth map (H, W), across the seam of a panorama."""
     if not wrap:
         return np.asarray(cv2.medianBlur(depth, 5))
     wide = np.concatenate([depth[:, -4:], depth, depth[:, :4]], axis=1)
@@ -122,7 +140,7 @@ def _median(depth: F32, wrap: bool) -> F32:
 
 
 def resize_panorama(image: F32, shape: tuple[int, ...], wrap: bool) -> F32:
-    """Bilinear resize to (H, W) with pixel centres at k + 0.5, across the seam of a panorama."""
+    """Bilinear resize to ``shape`` (H, W) with pixel centres at k + 0.5, across the seam of a panorama (``wrap``)."""
     if image.shape == tuple(shape):
         return image.astype(np.float32)
     h, w = shape

@@ -1,7 +1,8 @@
-"""Plane sweep on the sphere and semi-global regularisation: depth of one image from several posed ones.
+"""Plane sweep on the sphere, and semi-global matching: depth of one image from several with known poses.
 
-Collins, "A space-sweep approach to true multi-image matching" (1996), with spherical shells for planes; four-path
-dynamic programming after Hirschmueller, "Stereo processing by semiglobal matching" (2008). Panoramas wrap.
+The sweep is that of Collins, "A space-sweep approach to true multi-image matching" (1996), with spherical shells about
+the reference camera for planes. Semi-global matching along four paths follows Hirschmueller, "Stereo processing by
+semiglobal matching and mutual information" (2008). On panoramas columns wrap.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from panobench.photometric.warp import sample, to_pixel
 
 
 def padded(frames: F32, wrap: bool) -> F32:
-    """Images (F, H, W) with a border of one pixel: rows repeat and columns wrap on a panorama, else NaN."""
+    """Images (F, H, W) with a border of one pixel: on panoramas rows repeat and columns wrap, elsewhere it is NaN."""
     out = np.full((frames.shape[0], frames.shape[1] + 2, frames.shape[2] + 2), np.nan, np.float32)
     out[:, 1:-1, 1:-1] = frames
     if wrap:
@@ -29,7 +30,7 @@ def padded(frames: F32, wrap: bool) -> F32:
 
 @njit(**JIT_FINITE)
 def _shells_panorama(depths, rx, ry, rz, tx, ty, tz, w, h, u, v):  # type: ignore[no-untyped-def]
-    """Padded pixel coordinates, to be floored, of the points depths[k] r + t."""
+    """Write coordinates u, v (D,) in a padded panorama, to be floored, of the points depths[k] r + t."""
     per_turn = np.float32(0.5 / np.pi)
     half = np.float32(0.5)
     for k in range(len(depths)):
@@ -42,7 +43,7 @@ def _shells_panorama(depths, rx, ry, rz, tx, ty, tz, w, h, u, v):  # type: ignor
 
 @njit(**JIT_FINITE)
 def _shells_pinhole(depths, rx, ry, rz, tx, ty, tz, cam, u, v):  # type: ignore[no-untyped-def]
-    """As above; what lies outside the image is put on its border of NaN."""
+    """As ``_shells_panorama``; points outside the image are put on its border of NaN."""
     half = np.float32(0.5)
     for k in range(len(depths)):
         x, y, z = depths[k] * rx + tx, depths[k] * ry + ty, depths[k] * rz + tz
@@ -56,7 +57,7 @@ def _shells_pinhole(depths, rx, ry, rz, tx, ty, tz, cam, u, v):  # type: ignore[
 
 @njit(**JIT)
 def _add_differences(image, u, v, value, truncation, cost, hits):  # type: ignore[no-untyped-def]
-    """cost += min(|I(u, v) - value|, truncation) and hits += 1, where the padded image is known there."""
+    """Where the padded image is known at u, v (D,), cost += min(|I(u, v) - value|, truncation) and hits += 1."""
     for k in range(len(cost)):
         x, y = np.uint32(u[k]), np.uint32(v[k])
         a, b = u[k] - np.float32(x), v[k] - np.float32(y)
@@ -71,11 +72,11 @@ def _add_differences(image, u, v, value, truncation, cost, hits):  # type: ignor
 
 @njit(**PARALLEL)
 def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, first, last, out):  # type: ignore[no-untyped-def]
-    """Mean truncated |I_f - I_r| per shell over the frames ``first`` to ``last`` - 1.
+    """Write the mean truncated |I_f - I_r| over the frames first .. last - 1 for each pixel and shell, out (H, W, D).
 
-    reference (H, W) luma; rays (H, W, 3) float32; frames (F, H + 2, W + 2), ``padded``; R (F, 3, 3), t (F, 3): frame
-    from reference camera; depths (D,) radial. out (H, W, D); samples outside a frame's view cost nothing and do not
-    count, and a pixel no frame sees costs half the truncation everywhere.
+    reference (H, W): luma. rays (H, W, 3) float32. frames (F, H + 2, W + 2): ``padded``. R (F, 3, 3), t (F, 3): frame
+    from reference camera. depths (D,): radii of the shells. truncation: of 1. Samples outside a frame's view do not
+    count; a pixel that no frame sees costs half the truncation at all depths.
     """
     h, w = reference.shape
     n_depths = len(depths)
@@ -106,9 +107,9 @@ def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, fir
 
 @njit(**PARALLEL)
 def reprojection_error(reference, rays, frames, R, t, depth, code, cam, truncation, out):  # type: ignore[no-untyped-def]
-    """Mean truncated |I_f - I_r| over the frames at one depth (H, W) per pixel; NaN where there is no depth.
+    """Write the mean truncated |I_f - I_r| over all frames at a given depth (H, W), out (H, W); NaN without depth.
 
-    Other arguments as in ``sweep_cost``; out (H, W).
+    frames (F, H, W): without padding. The other arguments are as in ``sweep_cost``.
     """
     h, w = reference.shape
     for y in prange(h):
@@ -130,12 +131,12 @@ def reprojection_error(reference, rays, frames, R, t, depth, code, cam, truncati
 
 
 @njit(**PARALLEL)
-def prefer_early(cost, early, late, ratio, margin):  # type: ignore[no-untyped-def]
-    """Where the frames contradict each other, believe one half of them: occlusion comes or goes along a track.
+def temporal_selection(cost, early, late, ratio, margin):  # type: ignore[no-untyped-def]
+    """Where the frames contradict each other, trust one half of them: along a path, occlusion either begins or ends.
 
-    cost, early, late (H, W, D): of all frames and of either half. A pixel takes a half's costs where the best shell
-    of that half beats ratio x the best of all by ``margin``; ``cost`` is changed in place. (Kang, Szeliski & Chai,
-    "Handling occlusions in dense multi-view stereo", 2001, select frames likewise.)
+    cost, early, late (H, W, D): of all frames, and of the earlier and the later half. A pixel takes the costs of a half
+    where the best shell of that half beats ``ratio`` times the best of all by ``margin``; ``cost`` is changed in place.
+    The name and the idea are those of Kang, Szeliski & Chai, "Handling occlusions in dense multi-view stereo" (2001).
     """
     for y in prange(cost.shape[0]):
         for x in range(cost.shape[1]):
@@ -146,7 +147,7 @@ def prefer_early(cost, early, late, ratio, margin):  # type: ignore[no-untyped-d
 
 @njit(**JIT)
 def _path_step(cost, before, p1, p2, line):  # type: ignore[no-untyped-def]
-    """One step of the recursion along a path: ``line`` receives the path cost of this pixel."""
+    """One step along a path: write the path costs ``line`` (D,) of a pixel, from those of the pixel ``before`` it."""
     n = len(cost)
     low = before[0]
     for k in range(1, n):
@@ -162,14 +163,18 @@ def _path_step(cost, before, p1, p2, line):  # type: ignore[no-untyped-def]
 
 @njit(**PARALLEL)
 def semi_global(cost, luma, p1, p2, edge, wrap):  # type: ignore[no-untyped-def]
-    """Sum of the four path costs (H, W, D). Jumps cost less across image edges: p2 / (1 + edge |difference|)."""
+    """The sum of the costs of the four paths, (H, W, D), of a cost volume (H, W, D).
+
+    p1: penalty of a change by one shell. p2: of a larger one, which is less across edges of the image luma (H, W):
+    p2 / (1 + edge |difference|), but at least p1. wrap: columns wrap.
+    """
     h, w, n = cost.shape
     total = np.zeros((h, w, n), np.float32)
     for y in prange(h):
         a, b = np.zeros(n, np.float32), np.empty(n, np.float32)
         for direction in range(2):
             a[:] = 0
-            # On a panorama the path starts half a turn early, so that the seam is no boundary.
+            # On a panorama the path starts half the width early, so that the seam is no boundary.
             lead = w // 2 if wrap else 0
             for i in range(-lead, w):
                 x = i % w if direction == 0 else (w - 1 - i) % w
@@ -198,10 +203,11 @@ def semi_global(cost, luma, p1, p2, edge, wrap):  # type: ignore[no-untyped-def]
 
 
 @njit(**PARALLEL)
-def pick_shell(total, log_depth0, log_step, depth, confidence):  # type: ignore[no-untyped-def]
-    """Cheapest shell with a parabola through its neighbours; shells are equally spaced in log depth.
+def winner_takes_all(total, log_depth0, log_step, depth, confidence):  # type: ignore[no-untyped-def]
+    """Write the depth (H, W) of least cost, refined by a parabola through its neighbours, and a confidence (H, W).
 
-    confidence in 0..1: how much dearer the best shell is that lies more than two shells away.
+    total (H, W, D): costs; shells are equally spaced in log depth. confidence, 0..1: one minus the ratio of the least
+    cost to the least that is more than two shells away.
     """
     h, w, n = total.shape
     for y in prange(h):
@@ -226,7 +232,7 @@ def pick_shell(total, log_depth0, log_step, depth, confidence):  # type: ignore[
 
 @njit(**PARALLEL)
 def _smooth_rows(cost, kernel, wrap, out):  # type: ignore[no-untyped-def]
-    """Weighted sum of the neighbours in a row; rows of a panorama wrap, others repeat their ends."""
+    """Convolve the rows of a cost volume with a kernel (K,); those of a panorama wrap, others repeat their ends."""
     h, w, n = cost.shape
     reach = len(kernel) // 2
     for y in prange(h):
@@ -247,6 +253,7 @@ def _smooth_rows(cost, kernel, wrap, out):  # type: ignore[no-untyped-def]
 
 @njit(**PARALLEL)
 def _smooth_columns(cost, kernel, out):  # type: ignore[no-untyped-def]
+    """Convolve the columns of a cost volume with a kernel (K,); they repeat their ends."""
     h, w, n = cost.shape
     reach = len(kernel) // 2
     for y in prange(h):
@@ -261,7 +268,7 @@ def _smooth_columns(cost, kernel, out):  # type: ignore[no-untyped-def]
 
 
 def smooth_cost(cost: NDArray[np.float32], sigma: float, wrap: bool) -> F32:
-    """Gaussian aggregation of a cost volume (H, W, D) over (H, W), across the seam of a panorama."""
+    """Aggregate a cost volume (H, W, D) by a Gaussian of ``sigma`` pixels, across the seam of a panorama (``wrap``)."""
     reach = min(int(np.ceil(4 * sigma)), cost.shape[1] - 1)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     kernel = (kernel / kernel.sum()).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Kernel-side cameras: projecting a point and sampling an image, for panoramas and pinholes."""
+"""Warping inside kernels: projecting points and sampling images, for panoramas and pinholes."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _HALF, PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 
 
 def camera_code(camera: Camera) -> tuple[int, NDArray[np.float32]]:
-    """(code, parameters) for the kernels; parameters are (W, H, fx, fy, cx, cy).
+    """ERP or PINHOLE, and the parameters (6,) of ``kernels.columns.CameraColumns`` in pixels.
 
-    Raises UnsupportedError for cameras the kernels do not know.
+    Raises UnsupportedError for other cameras.
     """
     if camera.kind == "erp":
         return ERP, np.array([camera.width, camera.height, 0, 0, 0, 0], np.float32)
@@ -34,14 +34,14 @@ def camera_code(camera: Camera) -> tuple[int, NDArray[np.float32]]:
     )
 
 
-def halved(parameters: NDArray[np.float32], level: int) -> NDArray[np.float32]:
-    """Camera parameters ``level`` pyramid levels up (pixel centres at k + 0.5 make this a plain division)."""
+def parameters_at_level(parameters: NDArray[np.float32], level: int) -> NDArray[np.float32]:
+    """Parameters (6,) of the camera at a level of the pyramid: a plain division, as pixel centres lie at k + 0.5."""
     return np.asarray(parameters / np.float32(2**level), dtype=np.float32)
 
 
 @njit(**JIT)
 def to_pixel(x, y, z, code, cam):  # type: ignore[no-untyped-def]
-    """Point in the camera frame -> (u, v, in front)."""
+    """Point in the camera frame -> pixel u, v and whether it lies in front of the camera."""
     if code == 0:
         rho = np.sqrt(x * x + z * z)
         u = cam[CAM.width] * (np.float32(0.5) + atan2_fast(x, z) / (2 * _PI))
@@ -54,7 +54,7 @@ def to_pixel(x, y, z, code, cam):  # type: ignore[no-untyped-def]
 
 @njit(**JIT_FINITE)
 def project_panorama(X, Y, Z, R, t, w, h, u, v):  # type: ignore[no-untyped-def]
-    """Points moved by R, t -> pixels u, v."""
+    """Write pixels u, v (n,) of points X, Y, Z (n,) moved by R (3, 3), t (3,), in a panorama of w x h pixels."""
     for k in range(len(X)):
         x, y, z = X[k], Y[k], Z[k]
         px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
@@ -67,7 +67,7 @@ def project_panorama(X, Y, Z, R, t, w, h, u, v):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def project_pinhole(X, Y, Z, R, t, cam, u, v):  # type: ignore[no-untyped-def]
-    """Points moved by R, t -> pixels u, v."""
+    """As ``project_panorama`` for a pinhole of parameters ``cam`` (6,); points behind it get u = v = -1e6."""
     for k in range(len(X)):
         x, y, z = X[k], Y[k], Z[k]
         px = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z + t[0]
@@ -81,7 +81,7 @@ def project_pinhole(X, Y, Z, R, t, cam, u, v):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def project(X, Y, Z, R, t, code, cam, u, v):  # type: ignore[no-untyped-def]
-    """Points moved by R, t -> pixels u, v of either camera."""
+    """Write pixels u, v (n,) of points X, Y, Z (n,) moved by R (3, 3), t (3,); code, cam: as from ``camera_code``."""
     if code == 0:
         project_panorama(X, Y, Z, R, t, cam[CAM.width], cam[CAM.height], u, v)
     else:
@@ -98,7 +98,7 @@ def _mix(p00, p01, p10, p11, a, b):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def _panorama_at(image, w, h, u, v):  # type: ignore[no-untyped-def]
-    """Bilinear value at (u, v) and its derivatives by u and v; image flat (h w,). Columns wrap, rows are clamped."""
+    """Bilinear value at (u, v) of a flat image (h w,), and its derivatives; columns wrap and rows are clamped."""
     fu, fv = u - _HALF, v - _HALF
     bu, bv = np.floor(fu), np.floor(fv)
     last, bottom = np.int32(w - 1), np.int32(h - 1)
@@ -115,7 +115,7 @@ def _panorama_at(image, w, h, u, v):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def _pinhole_at(image, w, h, u, v):  # type: ignore[no-untyped-def]
-    """The same in a pinhole image of 2 x 2 pixels or more; the value is NaN outside."""
+    """The same in a pinhole image of at least 2 x 2 pixels; the value is NaN outside."""
     fu, fv = u - _HALF, v - _HALF
     bu, bv = np.floor(fu), np.floor(fv)
     inside = (bu >= 0) & (bv >= 0) & (bu <= np.float32(w - 2)) & (bv <= np.float32(h - 2))
@@ -129,22 +129,22 @@ def _pinhole_at(image, w, h, u, v):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def _panorama_run(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
+def _sample_panorama(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
     for k in range(len(u)):
         out[k], du[k], dv[k] = _panorama_at(image, w, h, u[k], v[k])
 
 
 @njit(**JIT)
-def _pinhole_run(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
+def _sample_pinhole(image, w, h, u, v, out, du, dv):  # type: ignore[no-untyped-def]
     for k in range(len(u)):
         out[k], du[k], dv[k] = _pinhole_at(image, w, h, u[k], v[k])
 
 
 @njit(**JIT)
 def sample(image, u, v, code):  # type: ignore[no-untyped-def]
-    """Bilinear value at (u, v); image (h, w) contiguous.
+    """Bilinear value at pixel (u, v) of a contiguous image (h, w).
 
-    Columns wrap on a panorama, rows are clamped there; NaN outside a pinhole.
+    On a panorama columns wrap and rows are clamped; outside a pinhole image the value is NaN.
     """
     h, w = image.shape
     if code == 0:
@@ -156,11 +156,11 @@ def sample(image, u, v, code):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def sample_run(image, u, v, code, out, du, dv):  # type: ignore[no-untyped-def]
-    """``sample`` at pixels (u, v) (n,), several at a time, and its derivatives by u and v."""
+    """``sample`` at pixels u, v (n,), vectorised: writes values ``out`` and their derivatives du, dv (n,)."""
     h, w = image.shape
     if h < 2 or w < 2:
         out[: len(u)] = np.float32(np.nan)
     elif code == 0:
-        _panorama_run(image.reshape(-1), w, h, u, v, out, du, dv)
+        _sample_panorama(image.reshape(-1), w, h, u, v, out, du, dv)
     else:
-        _pinhole_run(image.reshape(-1), w, h, u, v, out, du, dv)
+        _sample_pinhole(image.reshape(-1), w, h, u, v, out, du, dv)

@@ -1,4 +1,4 @@
-"""Other latitude weights for alignment than the cosine: the loss ablation, in tracking as in mapping."""
+"""Latitude weights other than the cosine for alignment, so that the ablation of the loss covers tracking too."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from panobench.photometric.warp import ERP
 
 
 def reweighted(reference: Reference, weighting: Weighting) -> Reference:
-    """The reference with a panorama's pixels weighted as the loss of that name weighs them; others stay as they are."""
+    """The reference of a panorama with the weights of ``latitude_weight``; that of another camera stays as it is."""
     if weighting == "cosine" or reference.code != ERP:
         return reference
     levels = [replace(level, weight=_weights(level.points, weighting)) for level in reference.levels]
@@ -21,6 +21,6 @@ def reweighted(reference: Reference, weighting: Weighting) -> Reference:
 
 
 def _weights(points: F32, weighting: Weighting) -> F32:
-    """(n,) for points (3, n) in the camera frame."""
+    """Weights (n,) of points (3, n) in the camera frame."""
     latitude = np.arctan2(-points[1], np.hypot(points[0], points[2]))
     return latitude_weight(latitude, weighting).astype(np.float32)

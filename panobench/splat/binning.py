@@ -1,4 +1,4 @@
-"""Which Gaussians a tile has to composite, in depth order, and in which of its rows."""
+"""Binning: which Gaussians each tile has to composite, in depth order, and in which of its rows."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from numba import njit, prange
 from panobench.kernels.columns import CAM
 from panobench.kernels.columns import FOOTPRINT as F
 from panobench.kernels.jit import INLINE, JIT, PARALLEL
-from panobench.splat.slabs import slab_rows
+from panobench.splat.row_bounds import row_bounds
 from panobench.splat.view import BOUND_CONES, TILE_H, TILE_W
 
 
 @njit(**JIT)
 def radix_order(key):  # type: ignore[no-untyped-def]
-    """Indices of the keys (N,) float32 >= 0 in ascending order; ties keep their index order."""
+    """Indices of the keys (N,) float32 that are not negative, ascending; of equal keys the lower index comes first."""
     n = 0
     for k in range(len(key)):
         if key[k] >= 0:
@@ -42,21 +42,24 @@ def radix_order(key):  # type: ignore[no-untyped-def]
 
 
 @njit(**PARALLEL)
-def gather(order, packed, rows, cols):  # type: ignore[no-untyped-def]
-    """Rows of the three arrays in ``order``; fancy indexing takes several times as long."""
+def gather(order, footprints, rows, cols):  # type: ignore[no-untyped-def]
+    """Rows ``order`` (M,) of the three arrays; NumPy's indexing takes several times as long."""
     n = len(order)
-    p, r, c = np.empty((n, packed.shape[1]), np.float32), np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
+    p, r, c = np.empty((n, footprints.shape[1]), np.float32), np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
     for j in prange(n):
         k = order[j]
-        for i in range(packed.shape[1]):
-            p[j, i] = packed[k, i]
+        for i in range(footprints.shape[1]):
+            p[j, i] = footprints[k, i]
         r[j, 0], r[j, 1], c[j, 0], c[j, 1] = rows[k, 0], rows[k, 1], cols[k, 0], cols[k, 1]
     return p, r, c
 
 
 @njit(**JIT)
 def _cone_meets(p, cone):  # type: ignore[no-untyped-def]
-    """Does the instance's cone meet the tile's? cos(angle) >= cos(reach + radius), unless the sum exceeds pi."""
+    """Whether the cone of footprint p meets that of a tile (4,): direction and cosine of its angular radius.
+
+    They meet where the cosine of the angle between them is at least that of the sum of their radii.
+    """
     c = cone[3]
     if c > 1.5:
         return False
@@ -69,7 +72,7 @@ def _cone_meets(p, cone):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE)
 def _tile_columns(c0, c1, W):  # type: ignore[no-untyped-def]
-    """The runs of tile columns (first, last; first, last) of pixel columns that may pass either edge of a panorama."""
+    """Columns of tiles for pixel columns c0 .. c1, which may pass a panorama's edge: two runs, first and last each."""
     if c1 - c0 >= W - 1:
         return 0, (W - 1) // TILE_W, 1, 0
     x0, x1 = max(c0, 0) // TILE_W, min(c1, W - 1) // TILE_W
@@ -81,8 +84,11 @@ def _tile_columns(c0, c1, W):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def _slabs(k0, k1, cols, W, which, columns):  # type: ignore[no-untyped-def]
-    """Instances k0 .. k1 once for every column of tiles they may reach: how many, written down if there is room."""
+def _columns_met(k0, k1, cols, W, which, columns):  # type: ignore[no-untyped-def]
+    """Pair footprints k0 .. k1 - 1 with every column of tiles that they may reach; returns the number of pairs.
+
+    The pairs are written to ``which`` and ``columns`` (S,), unless these are empty.
+    """
     n = 0
     for k in range(k0, k1):
         a, b, c, d = _tile_columns(cols[k, 0], cols[k, 1], W)
@@ -99,12 +105,15 @@ def _slabs(k0, k1, cols, W, which, columns):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def _tiles_met(k0, k1, packed, cones, W, H, which, columns, first, last):  # type: ignore[no-untyped-def]
-    """The same for cameras without columns: a slab for every tile whose cone an instance meets, with all its rows."""
+def _tiles_met(k0, k1, footprints, cones, W, H, which, columns, first, last):  # type: ignore[no-untyped-def]
+    """Pair footprints k0 .. k1 - 1 with every tile whose cone they meet, for cameras without ``column_axes``.
+
+    As ``_columns_met``; first, last (S,) receive the rows of the tile.
+    """
     tiles_x, n = (W + TILE_W - 1) // TILE_W, 0
     for k in range(k0, k1):
         for t in range(len(cones)):
-            if _cone_meets(packed[k], cones[t]):
+            if _cone_meets(footprints[k], cones[t]):
                 if len(which) > 0:
                     y = t // tiles_x * TILE_H
                     which[n], columns[n], first[n], last[n] = k, t % tiles_x, y, min(y + TILE_H, H) - 1
@@ -114,15 +123,19 @@ def _tiles_met(k0, k1, packed, cones, W, H, which, columns, first, last):  # typ
 
 @njit(**PARALLEL)
 def bin_tiles(  # type: ignore[no-untyped-def]
-    packed, rows, cols, bound, cones, column_axes, column_half, intr, drawn, threads
+    footprints, rows, cols, bound, cones, column_axes, column_half, intr, drawn, threads
 ):
-    """Tile lists in depth order for instances already sorted by depth: starts (tiles + 1,), entries (E,), spans (E, 2).
+    """Lists of the footprints in each tile, for M footprints sorted by depth.
 
-    spans: first row within the tile and number of rows that the entry may colour. drawn (tiles,): tiles that need a
-    list; the others' stay empty.
+    footprints (M, FOOTPRINT_COLUMNS), rows, cols (M, 2): as ``project`` writes them, in order of depth. bound, cones,
+    column_axes, column_half, intr: the view's. drawn (tiles,) bool: tiles that need a list.
 
-    Each thread takes a run of instances; its entries stand behind those of nearer runs, so the lists do not depend
-    on the number of threads.
+    Returns starts (tiles + 1,) int64 and entries (E,) int32: tile t has the footprints numbered
+    entries[starts[t] : starts[t + 1]], nearest first. Also spans (E, 2) uint8: the first row within the tile that an
+    entry may colour, and the number of rows.
+
+    Each thread takes a run of footprints, and its entries stand after those of nearer runs: the lists do not depend on
+    the number of threads.
     """
     W, H, n, tiles = int(intr[CAM.width]), int(intr[CAM.height]), len(rows), len(drawn)
     tiles_x, share = (W + TILE_W - 1) // TILE_W, (n + threads - 1) // threads
@@ -131,25 +144,25 @@ def bin_tiles(  # type: ignore[no-untyped-def]
     for th in prange(threads):
         k0, k1 = min(th * share, n), min((th + 1) * share, n)
         if bound == BOUND_CONES:
-            begins[th + 1] = _tiles_met(k0, k1, packed, cones, W, H, nothing, nothing, nothing, nothing)
+            begins[th + 1] = _tiles_met(k0, k1, footprints, cones, W, H, nothing, nothing, nothing, nothing)
         else:
-            begins[th + 1] = _slabs(k0, k1, cols, W, nothing, nothing)
+            begins[th + 1] = _columns_met(k0, k1, cols, W, nothing, nothing)
     for th in range(threads):
         begins[th + 1] += begins[th]
-    slabs = np.empty((4, begins[threads]), np.int32)  # instance, column of tiles, first and last row
+    pairs = np.empty((4, begins[threads]), np.int32)  # footprint, column of tiles, first and last pixel row
     cursor = np.zeros((threads, tiles), np.int64)
     for th in prange(threads):
         k0, k1 = min(th * share, n), min((th + 1) * share, n)
-        mine = slabs[:, begins[th] : begins[th + 1]]
+        mine = pairs[:, begins[th] : begins[th + 1]]
         if mine.shape[1] == 0:
             continue
         if bound == BOUND_CONES:
-            _tiles_met(k0, k1, packed, cones, W, H, mine[0], mine[1], mine[2], mine[3])
+            _tiles_met(k0, k1, footprints, cones, W, H, mine[0], mine[1], mine[2], mine[3])
         else:
-            _slabs(k0, k1, cols, W, mine[0], mine[1])
+            _columns_met(k0, k1, cols, W, mine[0], mine[1])
             if len(column_axes) > 0:
-                slab_rows(
-                    mine[0], mine[1], packed, rows, bound, column_axes, column_half, intr, mine[2], mine[3]
+                row_bounds(
+                    mine[0], mine[1], footprints, rows, bound, column_axes, column_half, intr, mine[2], mine[3]
                 )  # fmt: skip
             else:
                 for s in range(mine.shape[1]):
@@ -169,14 +182,14 @@ def bin_tiles(  # type: ignore[no-untyped-def]
     entries, spans = np.empty(max(starts[tiles], 1), np.int32), np.empty((max(starts[tiles], 1), 2), np.uint8)
     for th in prange(threads):
         for s in range(begins[th], begins[th + 1]):
-            r0, r1 = slabs[2, s], slabs[3, s]
+            r0, r1 = pairs[2, s], pairs[3, s]
             if r1 < r0:
                 continue
             for y in range(r0 // TILE_H, r1 // TILE_H + 1):
-                t = y * tiles_x + slabs[1, s]
+                t = y * tiles_x + pairs[1, s]
                 if drawn[t]:
                     e = cursor[th, t]
                     low = max(r0 - y * TILE_H, 0)
-                    entries[e], spans[e, 0], spans[e, 1] = slabs[0, s], low, min(r1 - y * TILE_H + 1, TILE_H) - low
+                    entries[e], spans[e, 0], spans[e, 1] = pairs[0, s], low, min(r1 - y * TILE_H + 1, TILE_H) - low
                     cursor[th, t] += 1
     return starts, entries, spans

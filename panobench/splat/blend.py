@@ -1,12 +1,14 @@
-"""Compositing of binned Gaussians, forward and backward. One kernel pair serves every projection.
+"""Blending: compositing of binned footprints, forward and backward. One pair of kernels serves every projection.
 
-Every instance k carries three vectors (p1, p2, m): at a pixel with table ray r the whitened offset is
-t = (p1.r, p2.r) / (m.r) and alpha = opacity exp(-|t|^2 / 2). On the sphere m is the Gaussian's direction and
-p1, p2 span its whitened tangent plane; for first-order projections r = (u, v, 1) and m = (0, 0, 1).
+Alpha compositing is that of Kerbl et al., "3D Gaussian splatting for real-time radiance field rendering" (2023): a
+Gaussian weighs w = alpha T, where T is the transmittance of those before it. ``FootprintColumns`` has the formula of
+alpha. On the sphere m is the Gaussian's direction, and p1 and p2 span its whitened tangent plane; first-order
+projections have rays r = (u, v, 1) and m = (0, 0, 1).
 
-The inner loops run over the pixels of a tile's rows inside the footprint as one flat range, branch-free, on one
-local buffer with unsigned indices, which is what lets LLVM vectorise them. Backward, alphas have a loop of their own:
-in one loop the chain from ray to gradient is too long for a core to overlap its iterations.
+The inner loops run over the pixels of those rows of a tile that a footprint may reach, as one flat range, without
+branches, on one local buffer and with unsigned indices: this lets LLVM vectorise them. In the backward pass alphas
+have a loop of their own, because in a single loop the chain from ray to gradient is too long for a core to overlap
+its iterations.
 """
 
 from __future__ import annotations
@@ -29,14 +31,15 @@ _A_MIN = np.float32(ALPHA_MIN)
 _A_MAX = np.float32(ALPHA_MAX)
 _COS = np.float32(COS_MIN)
 _N = TILE_W * TILE_H
-# Offsets of the channels in a tile's local buffer: ray, transmittance, then what is drawn or what comes back.
+# Offsets of the channels in a tile's local buffer: the ray (x, y, z), the transmittance, then either what is drawn
+# (colour, depth) or what comes back (gradients by colour, depth and opacity, what is left of the light).
 _CHANNELS = 13
 _Y, _Z, _T, _R, _G, _B, _D = (np.uint64(_N * k) for k in range(1, 8))
 _GR, _GG, _GB, _GD, _GO, _REM = (np.uint64(_N * k) for k in range(4, 10))
 _A, _T1, _T2 = (np.uint64(_N * k) for k in range(10, 13))
 _F0, _F1 = np.float32(0.0), np.float32(1.0)
-# exp(-s / 2) = (cubic in s)^32 for s in [0, 12], where alpha is below 1/255 whatever the opacity: the cubic of least
-# relative error (4e-7, so 1.3e-5 for the power).
+# exp(-s / 2) = (cubic in s)^32 for s in [0, 12]; beyond, alpha is below 1/255 whatever the opacity. This is the cubic
+# of least relative error: 4e-7, hence 1.3e-5 for the power.
 _C0, _C1 = np.float32(0.9999996), np.float32(-0.9999335 / 64)
 _C2, _C3 = np.float32(0.49824985 / 64**2), np.float32(-0.15168506 / 64**3)
 _S_MAX = np.float32(12.0)
@@ -44,7 +47,7 @@ _S_MAX = np.float32(12.0)
 
 @njit(inline="always", **JIT)
 def _load_rays(rays, buf, y0, x0, H, W):  # type: ignore[no-untyped-def]
-    """Copy a tile's rays into the local buffer; pixels beyond the image get ray 0 and never receive colour."""
+    """Copy a tile's rays into the local buffer. Pixels beyond the image get a zero ray and never receive colour."""
     for y in range(TILE_H):
         for x in range(TILE_W):
             i = y * TILE_W + x
@@ -60,7 +63,7 @@ def _load_rays(rays, buf, y0, x0, H, W):  # type: ignore[no-untyped-def]
 
 @njit(inline="always", **JIT)
 def _wrap_shift(u, x0, wrap):  # type: ignore[no-untyped-def]
-    """Multiple of the image width that brings a mean at column u nearest to a tile starting at x0."""
+    """The multiple of the image width that brings a mean at column u nearest to the tile that begins at x0."""
     if wrap == 0.0:
         return _F0
     return np.float32(wrap * np.round((x0 + 0.5 * TILE_W - u) / wrap))
@@ -68,7 +71,7 @@ def _wrap_shift(u, x0, wrap):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE_FINITE)
 def _offset(p, p1z, p2z, buf, i):  # type: ignore[no-untyped-def]
-    """Whitened offset t of pixel i from instance p, and |t|^2: at least _S_MAX beyond the largest angle."""
+    """Whitened offset t of pixel i from footprint p, and |t|^2, which is _S_MAX beyond the largest angle."""
     x, y, z = buf[i], buf[i + _Y], buf[i + _Z]
     n0 = p[F.m[0]] * x + p[F.m[1]] * y + p[F.m[2]] * z
     inv = _F1 / max(n0, _COS)
@@ -79,7 +82,7 @@ def _offset(p, p1z, p2z, buf, i):  # type: ignore[no-untyped-def]
 
 @njit(**INLINE_FINITE)
 def _exp_half(s):  # type: ignore[no-untyped-def]
-    """exp(-s / 2), for s beyond _S_MAX of that."""
+    """exp(-s / 2); for s beyond _S_MAX its value there."""
     s = min(s, _S_MAX)
     e = (_C0 + _C1 * s) + (s * s) * (_C2 + _C3 * s)
     e = e * e
@@ -90,7 +93,7 @@ def _exp_half(s):  # type: ignore[no-untyped-def]
 
 
 def _forward_span_of(weigh: bool) -> Callable[..., None]:
-    """Draw one instance over a span; ``weigh``: its weights, summed, are added to sums[th, k]."""
+    """A kernel that draws one footprint over n pixels from lo; ``weigh``: it adds the sum of weights to sums[th, k]."""
 
     @njit(**JIT_FINITE)
     def span(p, p1z, p2z, buf, lo, n, sums, th, k):  # type: ignore[no-untyped-def]
@@ -122,7 +125,7 @@ _forward_span, _forward_span_weighed = _forward_span_of(False), _forward_span_of
 
 @njit(**JIT_FINITE)
 def _count_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
-    """Pixels this instance touches while more than half of the light still passes."""
+    """How many of n pixels from lo footprint p touches while more than half of the light still passes."""
     q_cut = p[F.cut]
     count = _F0
     for j in range(n):
@@ -135,16 +138,17 @@ def _count_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
 
 @njit(**PARALLEL)
 def blend_forward(  # type: ignore[no-untyped-def]
-    packed, starts, entries, spans, rays, wrap, stop, tiles, threads, colour, depth, opacity, done, touched, weights
+    footprints, starts, entries, spans, rays, wrap, stop, tiles, threads, colour, depth, opacity, done, touched, weights
 ):
-    """Composite the listed tiles front to back.
+    """Composite tiles front to back.
 
-    packed (M, PACK) float32 instances in depth order; starts (tiles+1,) and entries (E,) int32: each tile's
-    instances in depth order; spans (E, 2): an entry's first row within the tile and number of rows; rays (3, H, W);
-    wrap: image width when means wrap horizontally, else 0; stop: a tile ends when no pixel's transmittance exceeds it;
-    tiles (K,) int32: tiles to draw. Writes colour (3, H, W), depth (H, W) = sum w dist, opacity (H, W) = sum w, done
-    (tiles,) = entries used, and, if they have M columns, touched (threads, M) counts and weights (threads, M) float32 =
-    an instance's sum of w.
+    footprints (M, FOOTPRINT_COLUMNS) float32: in order of depth. starts (tiles + 1,), entries (E,), spans (E, 2): as
+    from ``bin_tiles``. rays (3, H, W): the view's. wrap: width of a panorama whose columns repeat, else 0. stop: a
+    tile is finished when no pixel's transmittance exceeds this. tiles (K,) int32: the tiles to draw.
+
+    Writes colour (3, H, W), depth (H, W) = sum of w dist, opacity (H, W) = sum of w, and done (tiles,), the number of
+    entries used. Where they have M columns, and not none, it adds to touched (threads, M) int32 the pixels touched, and
+    to weights (threads, M) float32 the sum of w.
     """
     H, W = rays.shape[1], rays.shape[2]
     tiles_x = (W + TILE_W - 1) // TILE_W
@@ -164,7 +168,7 @@ def blend_forward(  # type: ignore[no-untyped-def]
             for e in range(starts[tile], starts[tile + 1]):
                 k = entries[e]
                 used += 1
-                p = packed[k]
+                p = footprints[k]
                 shift = _wrap_shift(p[F.u], x0, wrap)
                 p1z, p2z = p[F.p1[2]] - p[F.p1[0]] * shift, p[F.p2[2]] - p[F.p2[0]] * shift
                 lo, n = np.uint64(spans[e, 0] * TILE_W), np.uint64(spans[e, 1] * TILE_W)
@@ -194,7 +198,7 @@ def blend_forward(  # type: ignore[no-untyped-def]
 
 @njit(inline="always", **JIT_FINITE)
 def _alpha_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
-    """Alpha (0 where it is cut, not clipped from above) and t of instance p at n pixels from lo."""
+    """Alpha and t of footprint p at n pixels from lo; alpha is 0 where it is cut, and not yet clipped to ALPHA_MAX."""
     o = p[F.opacity]
     for j in range(n):
         i = lo + j
@@ -206,7 +210,7 @@ def _alpha_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
 
 
 def _backward_span_of(deep: bool) -> Callable[..., None]:
-    """The backward pass over a span; ``deep``: with dL/d(depth) and dL/d(opacity), which mapping does without."""
+    """The backward pass over n pixels from lo; ``deep``: with dL/d(depth) and dL/d(opacity), which mapping lacks."""
 
     @njit(**JIT_FINITE)
     def span(p, p1z, p2z, buf, lo, n, out, th, k):  # type: ignore[no-untyped-def]
@@ -265,16 +269,17 @@ _backward_span, _backward_span_deep = _backward_span_of(False), _backward_span_o
 
 @njit(**PARALLEL)
 def blend_backward(  # type: ignore[no-untyped-def]
-    packed, order, starts, entries, spans, rays, wrap, tiles, threads, colour, depth, opacity, done, d_colour, d_depth,
-    d_opacity, moments,
+    footprints, order, starts, entries, spans, rays, wrap, tiles, threads, colour, depth, opacity, done,
+    d_colour, d_depth, d_opacity, moments,
 ):  # fmt: skip
-    """Gradients of the listed tiles, as moment sums per Gaussian: instance k is Gaussian order[k].
+    """Gradients, as sums over pixels for each Gaussian: footprint k is Gaussian order[k].
 
-    d_colour (3, H, W), d_depth (H, W), d_opacity (H, W): dL/d(output); the two last may be (0, 0). The others as
-    ``blend_forward`` left them. With g = dL/d(exponent) per pixel, moments (threads, N, MOMENTS) receives sums of
-    g (1, t1, t2, t1 t1, t1 t2, t2 t2, |t|^2 t1, |t|^2 t2), then dL/d(colour) (3) and dL/d(dist).
-    Light from behind an instance is what is left of the composited total after subtracting what lies in front, so
-    nothing is divided by a vanishing transmittance.
+    d_colour (3, H, W), d_depth (H, W), d_opacity (H, W): dL/d(output); the last two may be (0, 0). The other arguments
+    are those that ``blend_forward`` got and wrote. moments (threads, N, MOMENTS) float32, see ``MomentColumns``, are
+    added to.
+
+    The light from behind a footprint is what is left of the composited total after subtracting what lies in front, so
+    that nothing is divided by a vanishing transmittance.
     """
     H, W = rays.shape[1], rays.shape[2]
     tiles_x = (W + TILE_W - 1) // TILE_W
@@ -306,7 +311,7 @@ def blend_backward(  # type: ignore[no-untyped-def]
                     buf[9 * _N + i] = total
             for e in range(starts[tile], starts[tile] + done[tile]):
                 k = entries[e]
-                p = packed[k]
+                p = footprints[k]
                 shift = _wrap_shift(p[F.u], x0, wrap)
                 p1z, p2z = p[F.p1[2]] - p[F.p1[0]] * shift, p[F.p2[2]] - p[F.p2[0]] * shift
                 lo, n = np.uint64(spans[e, 0] * TILE_W), np.uint64(spans[e, 1] * TILE_W)
@@ -317,5 +322,5 @@ def blend_backward(  # type: ignore[no-untyped-def]
 
 
 def new_moments(threads: int, gaussians: int) -> np.ndarray:
-    """Zeroed (threads, gaussians, MOMENTS) float32."""
+    """Zeros (threads, gaussians, MOMENTS) for ``blend_backward`` to add to."""
     return np.zeros((threads, gaussians, MOMENTS), np.float32)

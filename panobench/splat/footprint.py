@@ -23,7 +23,7 @@ from panobench.splat.algebra import (
     tangent_basis,
     whiten,
 )
-from panobench.splat.view import BOUND_FLAT, BOUND_LATLON
+from panobench.splat.view import BOUND_LATLON, BOUND_PINHOLE
 
 #: An alpha below this counts as zero: one step of an 8-bit image.
 ALPHA_MIN = 1.0 / 255.0
@@ -70,7 +70,7 @@ def latlon_extent(m, reach_e, reach_s, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def flat_extent(m, e, s, Q00, Q01, Q11, A22, axis, focal, centre, size):  # type: ignore[no-untyped-def]
+def pinhole_extent(m, e, s, Q00, Q01, Q11, A22, axis, focal, centre, size):  # type: ignore[no-untyped-def]
     """First and last pixel column (axis 0) or row (axis 1) of a footprint wholly in front of a pinhole camera.
 
     The planes x = t z through the camera's centre that touch the ellipse m + E^T d, d^T Q^-1 d = 1, are the roots of
@@ -87,8 +87,8 @@ def flat_extent(m, e, s, Q00, Q01, Q11, A22, axis, focal, centre, size):  # type
 
 
 @njit(**JIT)
-def side_extent(m, reach, sin_reach, axis, focal, centre, size):  # type: ignore[no-untyped-def]
-    """As ``flat_extent`` for a cone of angular radius ``reach`` that extends behind the camera.
+def cone_extent(m, reach, sin_reach, axis, focal, centre, size):  # type: ignore[no-untyped-def]
+    """As ``pinhole_extent`` for a cone of angular radius ``reach`` that extends behind the camera.
 
     The planes through the camera's centre that touch it stand at angles phi +- half.
     """
@@ -166,7 +166,7 @@ def _box_latlon(buf, j, W, H):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def _box_flat(buf, j, intr):  # type: ignore[no-untyped-def]
+def _box_pinhole(buf, j, intr):  # type: ignore[no-untyped-def]
     """First and last row and column of slot j's footprint in a pinhole image; last before first behind the camera."""
     W, H = intr[CAM.width], intr[CAM.height]
     x, y, z = load3(buf, j, _FP.m)
@@ -179,19 +179,19 @@ def _box_flat(buf, j, intr):  # type: ignore[no-untyped-def]
     if A22 > 1e-6:
         if m[2] < 0.0:
             return 1, 0, 1, 0
-        c0, c1 = flat_extent(m, e, s, Q00, Q01, Q11, A22, 0, intr[CAM.fx], intr[CAM.cx], W)
-        r0, r1 = flat_extent(m, e, s, Q00, Q01, Q11, A22, 1, intr[CAM.fy], intr[CAM.cy], H)
+        c0, c1 = pinhole_extent(m, e, s, Q00, Q01, Q11, A22, 0, intr[CAM.fx], intr[CAM.cx], W)
+        r0, r1 = pinhole_extent(m, e, s, Q00, Q01, Q11, A22, 1, intr[CAM.fy], intr[CAM.cy], H)
     else:
         sin_reach = float(buf[j + _FP.sin_radius])
         reach = np.arctan2(sin_reach, float(buf[j + _FP.cos_radius]))
-        c0, c1 = side_extent(m, reach, sin_reach, 0, intr[CAM.fx], intr[CAM.cx], W)
-        r0, r1 = side_extent(m, reach, sin_reach, 1, intr[CAM.fy], intr[CAM.cy], H)
+        c0, c1 = cone_extent(m, reach, sin_reach, 0, intr[CAM.fx], intr[CAM.cx], W)
+        r0, r1 = cone_extent(m, reach, sin_reach, 1, intr[CAM.fy], intr[CAM.cy], H)
     return r0, r1, c0, c1
 
 
 @njit(**JIT)
-def store_block(buf, n, k0, bound, intr, colours, packed, rows, cols, key):  # type: ignore[no-untyped-def]
-    """Write a block's n footprints to rows k0 .. k0 + n - 1 of ``packed``, ``rows``, ``cols`` and ``key``.
+def store_block(buf, n, k0, bound, intr, colours, footprints, rows, cols, key):  # type: ignore[no-untyped-def]
+    """Write a block's n footprints to rows k0 .. k0 + n - 1 of ``footprints``, ``rows``, ``cols`` and ``key``.
 
     See ``project`` for these arrays. A Gaussian that is not seen keeps a key of -1.
     """
@@ -203,17 +203,17 @@ def store_block(buf, n, k0, bound, intr, colours, packed, rows, cols, key):  # t
             continue
         if bound == BOUND_LATLON:
             box = _box_latlon(buf, j, W, H)
-        elif bound == BOUND_FLAT:
-            box = _box_flat(buf, j, intr)
+        elif bound == BOUND_PINHOLE:
+            box = _box_pinhole(buf, j, intr)
         else:
             box = (0, int(H) - 1, 0, int(W) - 1)
         rows[k, 0], rows[k, 1], cols[k, 0], cols[k, 1] = box
         if box[1] < box[0] or box[3] < box[2]:
             continue
         for i in range(3):
-            packed[k, F.p1[i]], packed[k, F.p2[i]] = buf[j + _FP.p1[i]], buf[j + _FP.p2[i]]
-            packed[k, F.m[i]], packed[k, F.colour[i]] = buf[j + _FP.m[i]], colours[k, i]
-        packed[k, F.opacity], packed[k, F.cut], packed[k, F.u] = buf[j + _FP.opacity], buf[j + _FP.cut], _F0
-        packed[k, F.cos_radius], packed[k, F.sin_radius] = buf[j + _FP.cos_radius], buf[j + _FP.sin_radius]
-        packed[k, F.slope[0]], packed[k, F.slope[1]] = buf[j + _FP.slope[0]], buf[j + _FP.slope[1]]
-        packed[k, F.distance] = key[k] = buf[j + _FP.distance]
+            footprints[k, F.p1[i]], footprints[k, F.p2[i]] = buf[j + _FP.p1[i]], buf[j + _FP.p2[i]]
+            footprints[k, F.m[i]], footprints[k, F.colour[i]] = buf[j + _FP.m[i]], colours[k, i]
+        footprints[k, F.opacity], footprints[k, F.cut], footprints[k, F.u] = buf[j + _FP.opacity], buf[j + _FP.cut], _F0
+        footprints[k, F.cos_radius], footprints[k, F.sin_radius] = buf[j + _FP.cos_radius], buf[j + _FP.sin_radius]
+        footprints[k, F.slope[0]], footprints[k, F.slope[1]] = buf[j + _FP.slope[0]], buf[j + _FP.slope[1]]
+        footprints[k, F.distance] = key[k] = buf[j + _FP.distance]

@@ -1,4 +1,4 @@
-"""The map: a growing set of 3D Gaussians as float32 arrays, one row per Gaussian."""
+"""A map of 3D Gaussians: float32 arrays with a row for each Gaussian."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ F32 = NDArray[np.float32]
 class GaussianMap:
     """N Gaussians in the world frame.
 
-    means (N, 3) metres; log_scales (N, 3), standard deviations exp(.) along the axes of the rotation given by
-    quats (N, 4) as (w, x, y, z), normalised on use; opacity_logits (N,); colours (N, 3) RGB, 0..1, not clipped.
+    means (N, 3): positions, in metres where the scale is known. log_scales (N, 3): logarithms of the standard
+    deviations along the Gaussian's own axes. quats (N, 4) as (w, x, y, z), of any length: the rotation of those axes
+    into the world. opacity_logits (N,): opacity = sigmoid(.). colours (N, 3): RGB, 0..1 but not clipped.
     """
 
     means: F32
@@ -51,18 +52,18 @@ class GaussianMap:
             yield getattr(self, f.name)
 
     def select(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> GaussianMap:
-        """A copy of the Gaussians at ``index``."""
+        """A copy of the Gaussians that ``index`` picks."""
         return GaussianMap(*(np.ascontiguousarray(a[index]) for a in self.arrays()))
 
     def concat(self, other: GaussianMap) -> GaussianMap:
-        """Both maps' Gaussians, these first."""
+        """A new map with the Gaussians of both, these first."""
         return GaussianMap(*(np.concatenate([a, b]) for a, b in zip(self.arrays(), other.arrays())))
 
     def copy(self) -> GaussianMap:
         return GaussianMap(*(a.copy() for a in self.arrays()))
 
     def transformed(self, transform: Sim3) -> GaussianMap:
-        """The map moved by a similarity."""
+        """A new map, moved by a similarity."""
         R = transform.R @ matrix_from_quaternion(self.quats)
         return GaussianMap(
             transform.apply_points(self.means).astype(np.float32),
@@ -73,7 +74,7 @@ class GaussianMap:
         )
 
     def write_ply(self, path: Path) -> None:
-        """Standard 3DGS PLY, readable by any splat viewer."""
+        """Write the standard PLY of 3DGS, which any splat viewer reads."""
         from panobench.splat.ply import write_ply
 
         write_ply(path, self.means, self.log_scales, self.quats, self.opacity_logits, self.colours)

@@ -60,7 +60,7 @@ def first_order(mu, code, intr):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def _first_order(  # type: ignore[no-untyped-def]
-    k, means, log_scales, quats, logits, colours, R, t, code, intr, low_pass, near, sloped, packed, rows, cols, key
+    k, means, log_scales, quats, logits, colours, R, t, code, intr, low_pass, near, sloped, footprints, rows, cols, key
 ):
     """The first-order footprint of Gaussian k; arguments as in ``project``, R and t as rows."""
     W, H = intr[CAM.width], intr[CAM.height]
@@ -80,14 +80,14 @@ def _first_order(  # type: ignore[no-untyped-def]
     C0, C1 = symmetric_times(C, J0), symmetric_times(C, J1)
     S00, S01, S11 = dot(J0, C0) + low_pass, dot(J0, C1), dot(J1, C1) + low_pass
     w00, w01, w11 = whiten(S00, S01, S11)
-    packed[k, F.p1[0]], packed[k, F.p1[1]], packed[k, F.p1[2]] = w00, w01, -(w00 * u + w01 * v)
-    packed[k, F.p2[0]], packed[k, F.p2[1]], packed[k, F.p2[2]] = 0.0, w11, -w11 * v
-    packed[k, F.m[0]], packed[k, F.m[1]], packed[k, F.m[2]] = 0.0, 0.0, 1.0
-    packed[k, F.u], packed[k, F.cos_radius], packed[k, F.sin_radius] = u, 0.0, 1.0
-    packed[k, F.slope[0]], packed[k, F.slope[1]] = 0.0, 0.0
+    footprints[k, F.p1[0]], footprints[k, F.p1[1]], footprints[k, F.p1[2]] = w00, w01, -(w00 * u + w01 * v)
+    footprints[k, F.p2[0]], footprints[k, F.p2[1]], footprints[k, F.p2[2]] = 0.0, w11, -w11 * v
+    footprints[k, F.m[0]], footprints[k, F.m[1]], footprints[k, F.m[2]] = 0.0, 0.0, 1.0
+    footprints[k, F.u], footprints[k, F.cos_radius], footprints[k, F.sin_radius] = u, 0.0, 1.0
+    footprints[k, F.slope[0]], footprints[k, F.slope[1]] = 0.0, 0.0
     if sloped:
         c0, c1 = dot(mu, C0) / dist, dot(mu, C1) / dist
-        packed[k, F.slope[0]], packed[k, F.slope[1]] = w00 * c0 + w01 * c1, w11 * c1
+        footprints[k, F.slope[0]], footprints[k, F.slope[1]] = w00 * c0 + w01 * c1, w11 * c1
     ru, rv = np.sqrt(q_cut * S00) + 1e-3, np.sqrt(q_cut * S11) + 1e-3
     rows[k, 0] = max(int(np.ceil(max(v - rv, -1.0) - 0.5)), 0)
     rows[k, 1] = min(int(np.floor(min(v + rv, H + 1.0) - 0.5)), int(H) - 1)
@@ -99,16 +99,16 @@ def _first_order(  # type: ignore[no-untyped-def]
         cols[k, 1] = min(int(np.floor(min(u + ru, W + 1.0) - 0.5)), int(W) - 1)
     if rows[k, 1] < rows[k, 0] or cols[k, 1] < cols[k, 0]:
         return
-    packed[k, F.opacity], packed[k, F.distance], packed[k, F.cut] = o, dist, q_cut
+    footprints[k, F.opacity], footprints[k, F.distance], footprints[k, F.cut] = o, dist, q_cut
     for c in range(3):
-        packed[k, F.colour[c]] = colours[k, c]
+        footprints[k, F.colour[c]] = colours[k, c]
     key[k] = np.float32(dist)
 
 
 @njit(**PARALLEL)
 def project(  # type: ignore[no-untyped-def]
     means, log_scales, quats, logits, colours, R_cw, t_cw, code, bound, intr, pixel_angle, low_pass, near,
-    sloped, packed, rows, cols, key, threads,
+    sloped, footprints, rows, cols, key, threads,
 ):  # fmt: skip
     """Project N Gaussians.
 
@@ -118,7 +118,7 @@ def project(  # type: ignore[no-untyped-def]
     surface: its mean given the direction, which on a Gaussian flattened along a wall is the wall's. Otherwise every
     pixel gets the distance of the mean.
 
-    Writes packed (N, FOOTPRINT_COLUMNS) float32; key (N,) float32: the distance, -1 for what is not visible;
+    Writes footprints (N, FOOTPRINT_COLUMNS) float32; key (N,) float32: the distance, -1 for what is not visible;
     rows, cols (N, 2) int32: first and last pixel row and column, where columns may run past a panorama's edges.
     """
     count = means.shape[0]
@@ -137,10 +137,10 @@ def project(  # type: ignore[no-untyped-def]
                     sphere_block(buf, n, R, t, near, low, sloped, True)
                 else:
                     sphere_block(buf, n, R, t, near, low, sloped, False)
-                store_block(buf, n, k0, bound, intr, colours, packed, rows, cols, key)
+                store_block(buf, n, k0, bound, intr, colours, footprints, rows, cols, key)
         else:
             for k in range(th * share, end):
                 _first_order(
                     k, means, log_scales, quats, logits, colours, R, t, code, intr, low_pass, near, sloped,
-                    packed, rows, cols, key,
+                    footprints, rows, cols, key,
                 )  # fmt: skip

@@ -27,9 +27,10 @@ _NO_2D = np.zeros((0, 0), np.float32)
 
 @dataclass
 class Gradients:
-    """dL/d(parameter). ``packed`` (N, 14) holds means, log_scales, quats, opacity_logits, colours side by side.
+    """dL/d(parameter) of N Gaussians, and dL/d(pose).
 
-    pose (6,): dL/dtau for T_cw <- exp(tau) T_cw, tau = (translation, rotation).
+    packed (N, PARAMETERS): the columns of ``ParameterColumns``; its parts also have the names and shapes of
+    ``GaussianMap``. pose (6,): dL/dtau for T_cw <- exp(tau) T_cw, tau = (translation, rotation).
     """
 
     packed: F32
@@ -75,7 +76,7 @@ class _Settings:
 class _Tape:
     """What the backward pass needs of its forward pass. Arrays are in order of depth, as ``Render.order``.
 
-    packed (M, FOOTPRINT_COLUMNS), starts (tiles + 1,), entries (E,), spans (E, 2), done (tiles,): see ``project``,
+    footprints (M, FOOTPRINT_COLUMNS), starts (tiles + 1,), entries (E,), spans (E, 2), done (tiles,): see ``project``,
     ``bin_tiles`` and ``blend_forward``. sloped: the depth has no gradient.
     """
 
@@ -83,7 +84,7 @@ class _Tape:
     gaussians: GaussianMap
     R_cw: NDArray[np.float64]
     t_cw: NDArray[np.float64]
-    packed: F32
+    footprints: F32
     starts: NDArray[np.int64]
     entries: NDArray[np.int32]
     spans: NDArray[np.uint8]
@@ -110,11 +111,12 @@ class Moments:
 class Render:
     """What a camera sees of a map.
 
-    planes (3, H, W) composited colour; depth (H, W) = sum of w dist; opacity (H, W) = sum of w, w being the blending
-    weight of a Gaussian in a pixel and dist its distance (radial depth).
+    w is the blending weight of a Gaussian in a pixel, and dist its distance (radial depth).
+
+    planes (3, H, W): composited colour, of 1. depth (H, W) = sum of w dist. opacity (H, W) = sum of w.
     order (M,) int32: the Gaussians drawn, nearest first. pixel_angle: radians that one pixel spans.
-    touched (N,) int32: pixels each Gaussian reaches while over half of the light still passes (if asked for).
-    weights (N,) float32: sum of w over the pixels, that is how many of them each Gaussian makes up (if asked for).
+    touched (N,) int32, if asked for: the pixels that each Gaussian reaches while over half of the light still passes.
+    weights (N,) float32, if asked for: sum of w over the pixels, that is how many of them each Gaussian makes up.
 
     A render keeps its map and some 100 bytes per Gaussian drawn for its backward pass; ``detach`` gives them up.
     """
@@ -179,7 +181,7 @@ class Render:
         do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
         sums = blend.new_moments(s.threads, len(tape.gaussians))
         blend.blend_backward(
-            tape.packed, self.order, tape.starts, tape.entries, tape.spans, s.view.rays, s.wrap, s.view.tiles,
+            tape.footprints, self.order, tape.starts, tape.entries, tape.spans, s.view.rays, s.wrap, s.view.tiles,
             s.threads, self.planes, self.depth, self.opacity, tape.done, dc, dd, do, sums,
         )  # fmt: skip
         return Moments(sums, tape.gaussians, tape.R_cw, tape.t_cw, s.view, s.low_pass)
@@ -188,10 +190,10 @@ class Render:
 class Renderer:
     """Renders Gaussians into one camera. It keeps that camera's tables and nothing of what it rendered.
 
-    projection: "sphere" (exact on the tangent plane, every camera), "erp" or "pinhole" (first order).
-    low_pass: variance added to every footprint, in pixels^2. near: Gaussians closer than this are not drawn. stop:
-    transmittance at which a tile is finished. threads: None uses Numba's setting; results agree between
-    thread counts to rounding.
+    projection: "sphere" (exact on the tangent plane, for every camera), "erp" or "pinhole" (first order).
+    low_pass: variance added to every footprint, pixels^2. near: Gaussians closer than this are not drawn, in the map's
+    unit. stop: transmittance at which a tile is finished. threads: None for Numba's setting; images do not depend on
+    their number, gradients only through rounding.
     """
 
     def __init__(
@@ -234,21 +236,21 @@ class Renderer:
         T_cw = invert_pose(T_wc)
         R_cw, t_cw = np.ascontiguousarray(T_cw[:3, :3]), np.ascontiguousarray(T_cw[:3, 3])
         n = len(gaussians)
-        packed, key = np.empty((n, FOOTPRINT_COLUMNS), np.float32), np.empty(n, np.float32)
+        footprints, key = np.empty((n, FOOTPRINT_COLUMNS), np.float32), np.empty(n, np.float32)
         rows, cols = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
         project.project(
             gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.colours,
             R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, s.low_pass, s.near,
-            sloped, packed, rows, cols, key, s.threads,
+            sloped, footprints, rows, cols, key, s.threads,
         )  # fmt: skip
         if hidden is not None:
             key[hidden] = -1.0
         order = binning.radix_order(key)
-        packed, rows, cols = binning.gather(order, packed, rows, cols)
+        footprints, rows, cols = binning.gather(order, footprints, rows, cols)
         drawn = np.zeros(v.tiles_x * v.tiles_y, np.bool_)
         drawn[v.tiles] = True
         starts, entries, spans = binning.bin_tiles(
-            packed, rows, cols, v.bound, v.cones, v.column_axes, v.column_half, v.intrinsics, drawn, s.threads
+            footprints, rows, cols, v.bound, v.cones, v.column_axes, v.column_half, v.intrinsics, drawn, s.threads
         )
         new = np.empty if len(v.tiles) == v.tiles_x * v.tiles_y else np.zeros
         planes = new((3, v.height, v.width), np.float32)
@@ -257,7 +259,7 @@ class Renderer:
         counts = np.zeros((s.threads, len(order) if count_touched else 0), np.int32)
         sums = np.zeros((s.threads, len(order) if weigh else 0), np.float32)
         blend.blend_forward(
-            packed, starts, entries, spans, v.rays, s.wrap, s.stop, v.tiles, s.threads,
+            footprints, starts, entries, spans, v.rays, s.wrap, s.stop, v.tiles, s.threads,
             planes, depth, opacity, done, counts, sums,
         )  # fmt: skip
         touched, weights = None, None
@@ -267,5 +269,5 @@ class Renderer:
         if weigh:
             weights = np.zeros(n, np.float32)
             weights[order] = sums.sum(axis=0)
-        tape = _Tape(s, gaussians, R_cw, t_cw, packed, starts, entries, spans, done, sloped)
+        tape = _Tape(s, gaussians, R_cw, t_cw, footprints, starts, entries, spans, done, sloped)
         return Render(planes, depth, opacity, touched, order, weights, v.pixel_angle, tape)

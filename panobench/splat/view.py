@@ -1,4 +1,4 @@
-"""What the kernels need to know of a camera: a ray per pixel, tiles, and how to bound a footprint."""
+"""What the kernels need to know of a camera: a ray for each pixel, tiles, and how to bound a footprint."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ TILE_W, TILE_H = 16, 16
 Projection = Literal["sphere", "erp", "pinhole"]
 #: Kernel codes of the projections.
 SPHERE, CONIC_ERP, CONIC_PINHOLE = 0, 1, 2
-#: How a footprint is bounded: latitude/longitude rectangle (ERP), rectangle in pixels, cone per tile.
-BOUND_LATLON, BOUND_PIXELS, BOUND_CONES, BOUND_FLAT = 0, 1, 2, 3
-# Half of the longitudes (rad) that a column of tiles may span and still lie before one plane.
+#: How a footprint is bounded: by latitude and longitude (panoramas), by a rectangle of pixels (first-order
+#: projections), by a cone for each tile (any camera), by planes through the camera's centre (undistorted pinholes).
+BOUND_LATLON, BOUND_PIXELS, BOUND_CONES, BOUND_PINHOLE = 0, 1, 2, 3
+#: Largest half width (rad of longitude) of a column of tiles that one tangent plane can hold.
 _LARGEST_HALF = 1.5
 
 
@@ -26,12 +27,14 @@ _LARGEST_HALF = 1.5
 class View:
     """Tables for one camera and projection.
 
-    rays (3, H, W) float32: unit rays ("sphere") or (u, v, 1) (first-order projections); 0 where there is none.
-    cones (tiles, 4): mean ray and cosine of the angular radius of each tile, for BOUND_CONES.
-    column_axes (tiles_x, 4) float32: x and z of the directions a and x (see slabs.py) of each column of tiles, and
-    column_half: the largest X of a pixel in one; (0, 4) for cameras without columns that a plane can hold.
-    tiles (K,) int32: those with a valid pixel. In a panorama of a limited field of view the others are never asked for.
-    intrinsics (8,): W, H, fx, fy, cx, cy, limit_x, limit_y (the last two bound x/z, y/z inside pinhole Jacobians).
+    width, height: of the image, pixels. projection, bound: codes, see above.
+    rays (3, H, W) float32: unit rays in the camera frame ("sphere") or (u, v, 1) (first-order projections); 0 where a
+    pixel has none.
+    cones (tiles, 4) float32: mean ray and cosine of the angular radius of each tile, for BOUND_CONES; else (0, 4).
+    column_axes (tiles_x, 4) float32: x and z of the directions a and x of each column of tiles, see ``row_bounds``;
+    (0, 4) for cameras without columns that a plane can hold. column_half: largest |X| of a pixel in a column.
+    tiles (K,) int32: the tiles with a valid pixel, which are drawn; in a panorama of limited view the others are not.
+    intrinsics (8,): see ``kernels.columns.CameraColumns``. pixel_angle: radians that one pixel spans.
     """
 
     width: int
@@ -58,8 +61,8 @@ class View:
 def make_view(camera: Camera, projection: Projection = "sphere") -> View:
     """Tables for rendering ``camera``. Raises UnsupportedError for a projection the camera does not have.
 
-    "sphere" serves every camera; "erp" is the paper's first-order projection of an ErpCamera; "pinhole" the
-    usual one of an undistorted PinholeCamera.
+    "sphere" serves every camera. "erp" is the first-order projection of an ErpCamera, as in the PanoGS-SLAM paper;
+    "pinhole" that of an undistorted PinholeCamera, as in 3DGS.
     """
     W, H = camera.width, camera.height
     intrinsics = np.array([W, H, 0, 0, 0, 0, 0, 0], dtype=np.float64)
@@ -68,8 +71,8 @@ def make_view(camera: Camera, projection: Projection = "sphere") -> View:
         intrinsics[2:] = [fx, fy, cx, cy, 0.65 * W / fx, 0.65 * H / fy]
     if projection == "sphere":
         rays = np.nan_to_num(camera.rays()).transpose(2, 0, 1).astype(np.float32)
-        flat = camera.kind == "pinhole" and not any(getattr(camera, "distortion", ()) or ())
-        bound = BOUND_LATLON if camera.kind == "erp" else BOUND_FLAT if flat else BOUND_CONES
+        pinhole = camera.kind == "pinhole" and not any(getattr(camera, "distortion", ()) or ())
+        bound = BOUND_LATLON if camera.kind == "erp" else BOUND_PINHOLE if pinhole else BOUND_CONES
         code = SPHERE
     else:
         if camera.kind != projection or any(getattr(camera, "distortion", ()) or ()):
@@ -87,13 +90,13 @@ def make_view(camera: Camera, projection: Projection = "sphere") -> View:
 
 
 def _columns(bound: int, intrinsics: NDArray[np.float64]) -> tuple[NDArray[np.float32], np.float32]:
-    """``column_axes`` and, with a little slack, ``column_half``."""
+    """``View.column_axes`` and, with a little slack, ``View.column_half``."""
     W, _, fx, _, cx = intrinsics[:5]
     centre, half = (np.arange(-(-W // TILE_W)) + 0.5) * TILE_W, 0.5 * (TILE_W - 1)
     if bound == BOUND_LATLON and half * 2 * np.pi / W < _LARGEST_HALF:
         lon, half = centre * (2 * np.pi / W) - np.pi, np.tan(half * 2 * np.pi / W)
         axes = np.stack([np.sin(lon), np.cos(lon), np.cos(lon), -np.sin(lon)], axis=1)
-    elif bound == BOUND_FLAT:
+    elif bound == BOUND_PINHOLE:
         one = np.ones_like(centre)
         axes, half = np.stack([(centre - cx) / fx, one, one, 0 * one], axis=1), half / fx
     else:
@@ -102,6 +105,7 @@ def _columns(bound: int, intrinsics: NDArray[np.float64]) -> tuple[NDArray[np.fl
 
 
 def _tiles_of(camera: Camera) -> NDArray[np.int32]:
+    """Numbers (K,) of the tiles that hold a valid pixel."""
     valid = camera.valid_mask()
     rows, columns = np.arange(0, valid.shape[0], TILE_H), np.arange(0, valid.shape[1], TILE_W)
     some = np.logical_or.reduceat(np.logical_or.reduceat(valid, rows, axis=0), columns, axis=1)
@@ -117,7 +121,7 @@ def _pixel_angle(camera: Camera) -> float:
 
 
 def _tile_cones(rays: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Smallest cone about the mean ray that holds every ray of a tile; empty tiles get cosine 2."""
+    """``View.cones``: the smallest cone around the mean ray that holds all rays of a tile; cosine 2 for empty tiles."""
     _, H, W = rays.shape
     ny, nx = -(-H // TILE_H), -(-W // TILE_W)
     cones = np.zeros((ny * nx, 4), np.float32)

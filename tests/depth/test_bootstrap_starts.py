@@ -18,7 +18,7 @@ from panobench.depth.bootstrap import BootstrapDepth, BootstrapOptions
 from panobench.depth.bootstrap_solve import spread_over_path
 from panobench.photometric.overlap import ViewShare
 from panobench.photometric.pyramid import luma_of_frame, pyramid
-from panobench.photometric.turn import TurnFinder
+from panobench.photometric.rotation_only import RotationOnlyAligner
 from panobench.types import DepthEstimate, Frame
 
 
@@ -144,7 +144,7 @@ def test_turn_finder_measures_a_turn(degrees: float) -> None:
     camera = ErpCamera(256, 128)
     image = RoomsDataset().open("tiny", width=256).image(0)
     a, b = (pyramid(luma_of_frame(i, camera.valid_mask())) for i in (image, turned(image, degrees)))
-    T = TurnFinder(camera, len(a)).turn(a, b)
+    T = RotationOnlyAligner(camera, len(a)).rotation(a, b)
     assert T is not None
     forward = T[:3, :3] @ [0, 0, 1]
     assert np.rad2deg(np.arctan2(-forward[0], forward[2])) == pytest.approx(degrees, abs=0.3)

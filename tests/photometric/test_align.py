@@ -11,7 +11,7 @@ from panobench.datasets.disturb import Disturbances, Disturber
 from panobench.geometry import invert_pose, se3_exp, se3_log
 from panobench.photometric.align import align
 from panobench.photometric.pyramid import halve, luma_of_frame, pyramid
-from panobench.photometric.reference import DEFAULT, AlignOptions, make_reference, watchful
+from panobench.photometric.reference import DEFAULT, AlignOptions, make_reference, reject_moving
 from panobench.photometric.warp import atan2_fast
 
 RADIUS = 2.0
@@ -89,11 +89,11 @@ def test_what_moves_in_front_of_a_quarter_of_the_view_does_not_pull(apart: int) 
     luma, depth = seen(np.eye(4), 0)
     levels = pyramid(seen(invert_pose(T_fr), apart)[0], 64)
     reference = make_reference(camera, luma, depth, len(levels))
-    found, pulled = (align(reference, levels, np.eye(4), options) for options in (watchful(camera), DEFAULT))
+    found, pulled = (align(reference, levels, np.eye(4), options) for options in (reject_moving(camera), DEFAULT))
     error, before = (np.linalg.norm(se3_log(a.T_fr @ invert_pose(T_fr))) for a in (found, pulled))
     assert error < 5e-3
     assert error < 0.5 * before
-    assert watchful(CAMERAS["pinhole"]) is DEFAULT
+    assert reject_moving(CAMERAS["pinhole"]) is DEFAULT
 
 
 def test_a_blank_frame_changes_nothing() -> None:

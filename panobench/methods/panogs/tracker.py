@@ -15,7 +15,7 @@ from panobench.methods.splatting.views import PoseAdam
 from panobench.photometric.align import Alignment, align
 from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pyramid import F32, luma_of_frame, luma_of_planes, pyramid
-from panobench.photometric.reference import AlignOptions, Reference, make_reference, watchful
+from panobench.photometric.reference import AlignOptions, Reference, make_reference, reject_moving
 from panobench.photometric.weighting import reweighted
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
@@ -46,7 +46,7 @@ class Tracker:
         fine = AlignOptions(
             exposure=self.options.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5, pixels=pixels
         )
-        fine = watchful(camera, fine)
+        fine = reject_moving(camera, fine)
         self.align_options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
         self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
         self.reference: Reference | None = None

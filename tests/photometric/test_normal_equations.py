@@ -9,7 +9,7 @@ from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import se3_exp
-from panobench.photometric.normal import normal_equations
+from panobench.photometric.normal_equations import normal_equations
 from panobench.photometric.reference import ReferenceLevel
 from panobench.photometric.warp import camera_code, project, sample
 

@@ -1,7 +1,8 @@
-"""How far the camera turned between two frames, from their smallest images alone: a guess where nothing predicts it.
+"""Rotation-only alignment: how the camera rotated between two frames, from their smallest images alone.
 
-Rotation-only alignment of small blurred images (Klein & Murray, "Improving the agility of keyframe-based SLAM",
-ECCV 2008) from several turns about the vertical, because the basin of one start is a few pixels wide.
+Small blurred images are aligned by a rotation (Klein & Murray, "Improving the agility of keyframe-based SLAM", ECCV
+2008). It serves as a guess where no motion model predicts the pose. Several yaw angles are tried as starts, because a
+single start converges from a few pixels away only.
 """
 
 from __future__ import annotations
@@ -16,27 +17,30 @@ from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import AlignOptions, make_reference
 from panobench.photometric.stereo import WorkingScale
 
-#: Turns about the camera's y axis that are tried as starts.
+#: Yaw angles (about the camera's y axis) that are tried as starts.
 STARTS_DEG = (0.0, 12.0, -12.0, 24.0, -24.0)
-#: Blur of the small images, pixels.
+#: Standard deviation of the blur of the small images, pixels.
 BLUR_PX = 1.0
-#: Residual (of 1) from which costs grow linearly when starts are compared.
+#: Huber threshold (residual of 1) under which starts are compared.
 HUBER = 0.05
-#: Of the reference, what must be seen again.
+#: Least share of the reference that must be seen again.
 OVERLAP_MIN = 0.4
 
-_OPTIONS = AlignOptions(iterations=(15,), cut_levels=0, exposure=True, turn_only=True)
+_OPTIONS = AlignOptions(iterations=(15,), cut_levels=0, exposure=True, rotation_only=True)
 
 
-class TurnFinder:
-    """Relates the smallest levels of two pyramids of one camera; ``levels`` is how many a pyramid has."""
+class RotationOnlyAligner:
+    """Aligns the smallest levels of two pyramids of one camera. levels: how many levels a pyramid has."""
 
     def __init__(self, camera: Camera, levels: int) -> None:
         self.scale = WorkingScale.of(camera, camera.width >> (levels - 1))
         self.level = self.scale.level
 
-    def turn(self, before: list[F32], after: list[F32]) -> NDArray[np.float64] | None:
-        """R (4, 4, no translation) that takes rays of the frame ``before`` to ``after``; None if nothing fits."""
+    def rotation(self, before: list[F32], after: list[F32]) -> NDArray[np.float64] | None:
+        """T (4, 4) without translation, from the camera ``before`` to that ``after``; None if nothing fits.
+
+        before, after: luma pyramids, level 0 full size.
+        """
         first, second = _blurred(before[self.level]), _blurred(after[self.level])
         depth = np.where(self.scale.valid, np.float32(1), np.float32(np.nan))
         reference = make_reference(self.scale.camera, first, depth, 1, _OPTIONS)
@@ -54,7 +58,7 @@ class TurnFinder:
 
 
 def _blurred(image: F32) -> F32:
-    """Gaussian blur that leaves NaN out of every average; NaN stays where it is."""
+    """Gaussian blur of (H, W) that leaves NaN out of every average and keeps it where it is."""
     known = np.isfinite(image)
     total = cv2.GaussianBlur(np.where(known, image, 0).astype(np.float32), (0, 0), BLUR_PX)
     weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), BLUR_PX)

@@ -1,6 +1,6 @@
-"""Normal equations of an image against a reference: the inner loop of direct alignment.
+"""Normal equations of a frame against a reference: the inner loop of direct alignment.
 
-Pixels are worked in blocks and every loop over a block does one thing, so that all are vectorised.
+Pixels are processed in blocks, and each loop over a block does a single thing, so that all loops are vectorised.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import ReferenceLevel
 from panobench.photometric.warp import project, sample_run
 
-#: Unknowns per step: translation (3), rotation (3), log gain, offset.
+#: Unknowns of a step: translation (3), rotation (3), log gain, offset.
 UNKNOWNS = 8
-#: Pixels worked together.
+#: Pixels in a block.
 _BLOCK = 512
-#: Histogram of absolute residuals: bins and their number in one unit of intensity.
+#: Histogram of absolute residuals: the number of bins, and of bins in one unit of luma.
 _BINS, _PER_BIN = 1024, np.float32(4096)
-#: References with fewer pixels are worked by one thread: waking another costs more.
+#: References with fewer pixels are processed by one thread, because waking another costs more.
 _FEW = 4000
 _F0, _HALF, _OUTSIDE = np.float32(0), np.float32(0.5), np.float32(10)
 
 
 @njit(**JIT)
 def _robust(e, value, weight, g, off, delta, limit, r, w, size):  # type: ignore[no-untyped-def]
-    """Samples e -> residuals r, Huber weights w and sizes |r| (10: not seen); returns (cost, weight seen).
+    """Samples e (n,) -> residuals r, Huber weights w and absolute residuals size (n,); returns cost and weight seen.
 
-    What is masked or outside is NaN. Residuals above ``limit`` cost what one at the limit does, and pull nothing.
+    Samples that are masked or outside are NaN, and get a size of 10. delta: Huber's threshold. Residuals above
+    ``limit`` cost what one at the limit does, and have no weight. g, off: gain and offset of the frame.
     """
     cost, seen = _F0, _F0
     worst = delta * (limit - _HALF * delta)
@@ -53,7 +54,7 @@ def _robust(e, value, weight, g, off, delta, limit, r, w, size):  # type: ignore
 
 @njit(**JIT)
 def _count(size, weight, bins):  # type: ignore[no-untyped-def]
-    """Add the weights of residuals of these sizes to their histogram; the last bin takes all that are larger."""
+    """Add weights (n,) to the histogram of the absolute residuals ``size`` (n,); the last bin takes all larger ones."""
     for k in range(len(size)):
         if size[k] < _OUTSIDE:
             bins[min(int(size[k] * _PER_BIN), _BINS - 1)] += weight[k]
@@ -61,7 +62,10 @@ def _count(size, weight, bins):  # type: ignore[no-untyped-def]
 
 @njit(**JIT_FINITE)
 def add_translation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
-    """Rows 0-2 of the upper triangle of sum w J J^T over six unknowns, and of sum w J r."""
+    """Add rows 0-2 of the upper triangle of sum w J J^T to A (6, 6) and of sum w J r to b (6,).
+
+    w, r (n,): weights and residuals; J (6, ...): Jacobians, those of the pixels from index ``lo`` on.
+    """
     h00, h01, h02, h03, h04, h05 = _F0, _F0, _F0, _F0, _F0, _F0
     h11, h12, h13, h14, h15, h22, h23, h24, h25 = _F0, _F0, _F0, _F0, _F0, _F0, _F0, _F0, _F0
     b0, b1, b2 = _F0, _F0, _F0
@@ -99,7 +103,7 @@ def add_translation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
 
 @njit(**JIT_FINITE)
 def add_rotation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
-    """Rows 3-5, see ``add_translation_rows``."""
+    """Add rows 3-5, see ``add_translation_rows``."""
     h33, h34, h35, h44, h45, h55, b3, b4, b5 = _F0, _F0, _F0, _F0, _F0, _F0, _F0, _F0, _F0
     for k in range(len(w)):
         j3, j4, j5 = J[3, lo + k], J[4, lo + k], J[5, lo + k]
@@ -125,7 +129,7 @@ def add_rotation_rows(w, r, J, lo, A, b):  # type: ignore[no-untyped-def]
 
 @njit(**JIT_FINITE)
 def _exposure_columns(w, r, J, value, lo, A, b):  # type: ignore[no-untyped-def]
-    """Columns 6 (gain: J is the reference's value) and 7 (offset: J is 1)."""
+    """Add columns 6 (gain, whose Jacobian is the reference's value) and 7 (offset, whose Jacobian is 1)."""
     for i in range(6):
         hv, h1 = _F0, _F0
         for k in range(len(w)):
@@ -172,8 +176,10 @@ def _sums(  # type: ignore[no-untyped-def]
     totals,
     bins,
 ):
-    """Add the pixels from ``first`` to ``last``: A (8, 8) upper triangle, b (8,), totals (2,) of cost and weight seen,
-    bins (_BINS,). J is the reference's, not yet times the gain. Sums of a block are float32, of blocks float64.
+    """Add pixels first .. last - 1 to A (8, 8), its upper triangle, b (8,), totals (2,) and bins (_BINS,).
+
+    totals: cost and weight seen. The Jacobian is the reference's, not yet multiplied by the gain. Sums over a block are
+    float32, over blocks float64.
     """
     u, v, e = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
     r, w, size = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
@@ -197,7 +203,7 @@ def _sums(  # type: ignore[no-untyped-def]
 def _sums_shared(  # type: ignore[no-untyped-def]
     threads, points, jacobian, value, weight, image, code, cam, R, t, g, off, huber, cut, exposure, A, b, totals, bins
 ):
-    """``_sums`` by several threads, each with a leading index of its own in the last four arrays."""
+    """``_sums`` by several threads; each has its own entry along the first axis of the last four arrays."""
     share = (len(value) + threads - 1) // threads
     for th in prange(threads):
         _sums(
@@ -207,10 +213,11 @@ def _sums_shared(  # type: ignore[no-untyped-def]
 
 
 @dataclass(frozen=True)
-class Normal:
-    """H (8, 8), b (8,), mean robust cost and share of the weight that was seen. J x ~ r for the reference's motion x.
+class NormalEquations:
+    """H x = b for the step x (8,) of the reference: translation, rotation, log gain, offset.
 
-    bins (_BINS,): weight by size of the residual.
+    H (8, 8), b (8,). cost: mean robust cost. seen: share of the reference's weight that was seen. bins (_BINS,): weight
+    by absolute residual.
     """
 
     H: NDArray[np.float64]
@@ -225,18 +232,18 @@ class Normal:
 
     @property
     def sigma(self) -> float:
-        """Robust standard deviation of the residuals."""
+        """Robust standard deviation of the residuals, of 1: 1.4826 times their median absolute value."""
         c = self._cumulative
         return 1.4826 * float(np.searchsorted(c, 0.5 * c[-1]) + 0.5) / float(_PER_BIN)
 
     def above(self, residual: float) -> float:
-        """Share of the weight seen with larger residuals; 0 beyond what the histogram tells apart."""
+        """Share of the weight seen whose residuals are larger; 0 beyond the range of the histogram."""
         k, c = residual * float(_PER_BIN), self._cumulative
         return 1.0 - float(c[int(k)]) / max(float(c[-1]), 1e-12) if k < _BINS - 1 else 0.0
 
 
-#: Nothing known yet.
-UNSEEN = Normal(np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS), np.inf, 0.0, np.zeros(_BINS))
+#: Before anything is evaluated.
+UNSEEN = NormalEquations(np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS), np.inf, 0.0, np.zeros(_BINS))
 
 
 def normal_equations(
@@ -250,10 +257,11 @@ def normal_equations(
     cut: float,
     *,
     exposure: bool = False,
-) -> Normal:
-    """At the pose ``T_fr`` and exposure ``gain`` (log), ``offset`` of ``image``: residual I_f - exp(gain) I_r - offset.
+) -> NormalEquations:
+    """Normal equations of ``image`` (H, W) at the pose ``T_fr`` (4, 4), frame from reference camera.
 
-    Without ``exposure`` only the first six rows of H and b are filled.
+    The residual is I_f - exp(gain) I_r - offset. huber: Huber's threshold; cut: residuals above it do not count (both
+    of 1). Without ``exposure`` only the first six rows of H and b are filled.
     """
     n = len(level.value)
     threads = get_num_threads() if n > _FEW else 1
@@ -274,7 +282,7 @@ def normal_equations(
     scale[7] = 1.0
     H = (upper + np.triu(upper, 1).T) * scale * scale[:, None]
     total = level.total
-    return Normal(
+    return NormalEquations(
         H, b.sum(axis=0) * scale, float(cost / seen) if seen > 0 else np.inf, float(seen / total) if total > 0 else 0.0,
         bins.sum(axis=0),
     )  # fmt: skip

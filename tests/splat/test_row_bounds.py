@@ -52,9 +52,9 @@ def spans_and_truth(camera: Camera, g: GaussianMap) -> tuple[np.ndarray, np.ndar
             assert 1 <= rows <= TILE_H - first
             assert y0 + first + rows <= H
             cell = visited[s.entries[e], y0 + first : y0 + first + rows, x0 : x0 + TILE_W]
-            assert not cell.any()  # no instance twice
+            assert not cell.any()  # nothing is listed twice
             cell[:] = True
-    p, rays = s.packed.astype(np.float64), view.rays.astype(np.float64)
+    p, rays = s.footprints.astype(np.float64), view.rays.astype(np.float64)
     t1, t2, depth = (np.einsum("mi,ihw->mhw", p[:, span(vector)], rays) for vector in (F.p1, F.p2, F.m))
     inside = t1**2 + t2**2 <= (1 - 1e-4) * p[:, F.cut, None, None] * depth**2
     return visited, inside & (depth > COS_MIN)
@@ -79,4 +79,4 @@ def test_little_is_visited_in_vain() -> None:
     box = visited.any(axis=2).sum(axis=1)[compact, None] * (tall > 0)
     assert np.count_nonzero(compact) > 30
     assert needed.sum() < tall.sum() < 1.15 * needed.sum()
-    assert tall.sum() < 0.85 * box.sum()  # as it would be without slabs
+    assert tall.sum() < 0.85 * box.sum()  # what the rectangles alone would visit
