@@ -61,16 +61,16 @@ def is_sequence(folder: Path) -> bool:
     return (folder / "frames.csv").is_file() or (folder / "camera.yaml").is_file()
 
 
-def find_sequences(root: Path, depth: int = 3) -> list[str]:
-    """Sequences below ``root`` as relative paths, at most ``depth`` levels down; unfinished ones are skipped."""
+def find_sequences(root: Path, levels: int = 3) -> list[str]:
+    """Sequences below ``root`` as relative paths, at most ``levels`` folders down; unfinished ones are skipped."""
     found = []
     for child in natural_paths(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
         if child.name.endswith(".partial"):
             continue
         if is_sequence(child):
             found.append(child.name)
-        elif depth > 1:
-            found += [f"{child.name}/{name}" for name in find_sequences(child, depth - 1)]
+        elif levels > 1:
+            found += [f"{child.name}/{name}" for name in find_sequences(child, levels - 1)]
     return found
 
 
@@ -114,11 +114,11 @@ def _read(folder: Path, name: str) -> ImageSource:
         mask = read_mask(mask_path, (camera.width, camera.height))
         camera = camera.with_mask(mask if camera.mask is None else mask & camera.mask)
     present = {p.name: p for p in (folder / "depth").iterdir()} if (folder / "depth").is_dir() else {}
-    depth = {}
+    depth_files = {}
     for index, image in enumerate(images):
         file = present.get(image.stem + ".npy") or present.get(image.stem + ".png")
         if file is not None:
-            depth[index] = file
+            depth_files[index] = file
     meta = _read_meta(folder / "meta.json")
     return ImageSource(
         dataset="folder",
@@ -129,7 +129,7 @@ def _read(folder: Path, name: str) -> ImageSource:
         images=images,
         groundtruth=groundtruth_at(truth_path, times) if truth_path.is_file() else None,
         imu=_read_imu(imu_path, calibration, meta) if imu_path.is_file() else None,
-        depth=depth,
+        depth=depth_files,
         inputs=(*inputs, *(p for p in (mask_path, truth_path, imu_path) if p.is_file())),
         notes={"meta": meta} if meta else {},
         novel=lambda: _read_novel(folder, camera),
