@@ -8,6 +8,10 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from panobench import kernel_cache
+
+kernel_cache.prepare()
+
 __version__ = "0.1.0"
 
 _EXPORTS = {

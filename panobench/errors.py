@@ -63,7 +63,11 @@ class InputError(PanobenchError):
         self.path, self.line, self.frame = path, line, frame
 
 
-class InputWarning(UserWarning):
+class PanobenchWarning(UserWarning):
+    """Work goes on, and the user should know of something; the command line prints it as one line."""
+
+
+class InputWarning(PanobenchWarning):
     """Data that is used although something about it may not be as assumed; one line that says what to do."""
 
 

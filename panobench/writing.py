@@ -9,10 +9,20 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from panobench.errors import OutputError
 
+
+class TextOptions(TypedDict):
+    """How text is written."""
+
+    encoding: str
+    errors: str
+
+
+#: Files' names may hold bytes that are not UTF-8; in texts for people they are escaped.
+TEXT: TextOptions = {"encoding": "utf-8", "errors": "backslashreplace"}
 #: What to do about a full disk, unless a command knows better.
 AGAIN = "free some space and run the same command again"
 
@@ -69,7 +79,7 @@ def write_whole(path: Path, data: bytes | str) -> None:
 
     A device or pipe (/dev/stdout) is written to, never replaced. Raises OutputError.
     """
-    content = data.encode("utf-8") if isinstance(data, str) else data
+    content = data.encode(**TEXT) if isinstance(data, str) else data
     place = Path(os.path.realpath(path))  # the target of a link is written, and the link stays
     part = place.with_name(f".{place.name}.{os.getpid()}.part")
     with writing(path):

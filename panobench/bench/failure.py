@@ -11,6 +11,7 @@ from panobench.bench.record import CellRecord, TimingRecord, empty_record, write
 from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import FRAMES, LOG, TRAJECTORY, PendingRun, write_frames
 from panobench.types import RunStatus
+from panobench.writing import TEXT
 
 #: How much of each log is kept.
 MAX_LOG_BYTES = 1 << 20
@@ -34,7 +35,7 @@ def write_failure(
     record.timing = timing or record.timing
     record.cell, record.isolation = cell, isolation
     with PendingRun(out) as pending:
-        (pending.path / LOG).write_text(log + f"\n{status.value}: {message}\n", encoding="utf-8")
+        (pending.path / LOG).write_text(log + f"\n{status.value}: {message}\n", **TEXT)
         (pending.path / TRAJECTORY).write_text("# time x y z qx qy qz qw (camera-to-world)\n", encoding="utf-8")
         write_frames(pending.path / FRAMES, [])
         write_record(pending.path, record)

@@ -21,7 +21,7 @@ from panobench.bench.supervisor import Result
 from panobench.bench.worker import DISK_FULL
 from panobench.errors import InputError, OutputError, PanobenchError
 from panobench.types import RunStatus
-from panobench.writing import disk_full, writing
+from panobench.writing import TEXT, disk_full, writing
 
 #: Seconds a run has to write what it tracked when the suite is interrupted.
 GRACE_S = 20.0
@@ -107,7 +107,7 @@ def run_isolated(cell: Cell, entry: CellRecord, place: Path, stopper: Stopper | 
 
 def kill_marked(place: str) -> None:
     """Kill what a run started, when the supervisor that should have done so was killed itself."""
-    mark = f"{MARK}={place}".encode()
+    mark = os.fsencode(f"{MARK}={place}")
     for _ in range(3):  # a process that is just being started may be missed once
         for environment in Path("/proc").glob("[0-9]*/environ"):
             with contextlib.suppress(OSError):
@@ -136,7 +136,7 @@ def _finish(cell: Cell, entry: CellRecord, place: Path, out: Path, result: Resul
         with writing(place):
             replace_record(out, record)
             if output.strip():
-                with (out / LOG).open("a", encoding="utf-8") as log:
+                with (out / LOG).open("a", **TEXT) as log:
                     log.write("--- output of the process ---\n" + output)
         return out
     status, message = judge(result, cell)

@@ -23,6 +23,9 @@ class Observer:
     def warn(self, text: str) -> None:
         """Something that the user should know while the run goes on."""
 
+    def interrupted(self) -> None:
+        """The first Ctrl-C: the run stops after this frame and finishes. Called from the signal's handler."""
+
     def started(self, total: int, truth: Trajectory | None) -> None:
         """Tracking begins; ``truth`` is for showing the error so far."""
 

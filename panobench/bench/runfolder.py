@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
 import shutil
@@ -16,7 +17,7 @@ import psutil
 
 from panobench.errors import InputError, PanobenchError, UsageError
 from panobench.reading import parse_json, read_text
-from panobench.writing import disk_full, is_disk_full, json_ready, writing
+from panobench.writing import TEXT, disk_full, is_disk_full, json_ready, writing
 
 SCHEMA = 1
 RUN_JSON, LOG, TRAJECTORY, GROUNDTRUTH, FRAMES, MAP = (
@@ -125,6 +126,9 @@ def _sync(path: Path) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # file systems that cannot flush folders
+            raise
     finally:
         os.close(handle)
 
@@ -162,7 +166,7 @@ def write_frames(path: Path, rows: list[dict[str, Any]]) -> None:
     """frames.csv: the columns of the first row first, then any other columns sorted; empty where not known."""
     first = list(rows[0]) if rows else []
     columns = first + sorted({name for row in rows for name in row} - set(first))
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with path.open("w", newline="", **TEXT) as file:
         writer = csv.DictWriter(file, columns, restval="")
         writer.writeheader()
         for row in rows:

@@ -13,9 +13,11 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from panobench import kernel_cache
 from panobench.bench.blas import one_blas_thread
 from panobench.bench.checking import check_trajectory, chosen_check
 from panobench.bench.evaluate import Scores, evaluate
+from panobench.bench.interrupts import KeepWriting
 from panobench.bench.memory import Meter
 from panobench.bench.observer import Observer
 from panobench.bench.provenance import provenance
@@ -31,6 +33,7 @@ from panobench.metrics.base import MetricInput
 from panobench.plugins import PluginWarning, registry
 from panobench.types import Frame, RunStatus
 from panobench.verdict.assess import assess
+from panobench.writing import TEXT
 
 
 class RunLog:
@@ -79,9 +82,9 @@ def execute(
     check_free(target, force)
     observer.stage("setting up")
     setup = set_up_run(request)
-    with PendingRun(target, force) as pending:
-        with (pending.path / LOG).open("w", encoding="utf-8") as file:
-            record = _run(request, setup, pending.path, RunLog(file, observer.log), observer, cell)
+    with KeepWriting() as keep, PendingRun(target, force) as pending:
+        with (pending.path / LOG).open("w", **TEXT) as file:
+            record = _run(request, setup, pending.path, RunLog(file, observer.log), observer, keep, cell)
         folder = pending.publish()
     _call_hooks("run_finished", None, folder=folder, run=record.to_dict())
     return folder
@@ -93,6 +96,7 @@ def _run(
     folder: Path,
     log: RunLog,
     observer: Observer,
+    keep: KeepWriting,
     cell: CellRecord | None,
 ) -> RunRecord:
     origin = provenance()
@@ -104,12 +108,16 @@ def _run(
         log(f"note: {remark}")
     holdout = held_out(len(setup.sequence), request.holdout)
     _seed(request.seed)
+    if kernel_cache.note():
+        log(str(kernel_cache.note()))
+    keep.begin()
     with Meter() as meter:
         tracked = _track(request, setup, folder, frozenset(holdout), log, observer)
         cpu_s = meter.cpu_s
     if tracked.failure:
         log(tracked.failure)
-    scores = _score(setup, tracked, holdout, folder / RENDERS, log, observer)
+    with keep.interruptible():
+        scores = _score(setup, tracked, holdout, folder / RENDERS, log, observer)
     log(f"{scores.status.value}: {scores.message}" if scores.message else scores.status.value)
     timing = timing_record(tracked, scores.evaluation_s)
     timing.peak_rss_bytes, timing.cpu_s = meter.peak_rss_bytes, cpu_s

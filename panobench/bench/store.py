@@ -11,7 +11,6 @@ Layout below the store's root:
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import shutil
 import time
@@ -23,6 +22,7 @@ from panobench.bench.cells import Cell, Planned
 from panobench.bench.record import RunRecord, read_record
 from panobench.bench.runfolder import RUN_JSON
 from panobench.errors import InputError
+from panobench.locking import lock
 from panobench.writing import writing
 
 RUNS, QUARANTINE, SUPERSEDED, LOCKS, WORK = "runs", "_quarantine", "_superseded", ".locks", ".work"
@@ -137,12 +137,7 @@ class Store:
                 (self.root / name).mkdir(parents=True, exist_ok=True)
             handle = os.open(self.root / LOCKS / cell.slug, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            except BlockingIOError:
-                yield False
-                return
-            yield True
+            yield lock(handle, self.root / LOCKS / cell.slug, wait)
         finally:
             os.close(handle)
 

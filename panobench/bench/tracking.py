@@ -60,7 +60,7 @@ def track_online(
     read = FrameReader(sequence)
     begin = time.perf_counter()
     where = "start()"
-    with InterruptRequest() as stop:
+    with InterruptRequest(tell=observer.interrupted) as stop:
         try:
             method.start(sequence.camera, context)
             result.start_s = time.perf_counter() - begin
@@ -92,8 +92,18 @@ def track_online(
         result.status, result.message = RunStatus.INTERRUPTED, f"interrupted {when}"
     result.wall_s = time.perf_counter() - begin
     if result.estimate is None:
-        result.estimate = Estimate(_trajectory(result.live, sequence))
+        known = _known_poses(method, result.given) if stop.requested else None
+        result.estimate = Estimate(_trajectory(known or result.live, sequence))
     return result
+
+
+def _known_poses(method: OnlineMethod, given: int) -> dict[int, Pose] | None:
+    """What the method knows of the frames given, stopped in the middle of something; None where that makes no sense."""
+    try:
+        found = method.known_poses()
+        return None if found is None else {i: check_pose(T, f"frame {i}") for i, T in found.items() if 0 <= i < given}
+    except Exception:  # it was interrupted anywhere; what track() gave is there
+        return None
 
 
 def track_batch(

@@ -23,3 +23,5 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "import": ("panobench.cli.import_run", "Score a trajectory made elsewhere; the row is marked imported."),
     "doctor": ("panobench.cli.doctor", "Say what a method needs and what of it is missing here."),
 }
+#: Commands that run compiled kernels, and are told where those are kept if not where Numba keeps them.
+COMPUTING = ("run", "suite", "study", "synth", "convert", "view", "import")

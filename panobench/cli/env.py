@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from panobench import kernel_cache
+
 app = typer.Typer()
 
 
@@ -51,6 +53,7 @@ def environment() -> dict[str, Any]:
         "plugins": facts.plugins,
         "plugins that failed": known.failures,
         "cannot run here": {f"{r.spec.kind} {r.spec.name}": why for r in known.all() if (why := _unavailable(r.spec))},
+        "kernel cache": kernel_cache.location(),
         "settings": {k: v for k, v in sorted(os.environ.items()) if k.startswith("PANOBENCH_")},
         "programs": {name: bool(shutil.which(name)) for name in ("git", "ffmpeg", "docker", "apptainer", "nvidia-smi")},
     }

@@ -93,6 +93,7 @@ def score_import(
     from panobench.methods.base import MethodContext
     from panobench.metrics.base import MetricInput
     from panobench.specs import MethodSpec
+    from panobench.writing import TEXT
 
     target = out or default_folder(request)
     check_free(target, force)
@@ -105,7 +106,7 @@ def score_import(
     assert tracked.estimate is not None
     tracked.latency, tracked.wall_s = [], 0.0
     with PendingRun(target, force) as pending:
-        with (pending.path / LOG).open("w", encoding="utf-8") as file:
+        with (pending.path / LOG).open("w", **TEXT) as file:
             log = RunLog(file)
             log(f"{len(tracked.estimate.trajectory)} poses of {trajectory} belong to {len(sequence)} frames")
             data = MetricInput(

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import warnings
 from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from panobench.cli.commands import COMMANDS
+from panobench import kernel_cache
+from panobench.cli.commands import COMMANDS, COMPUTING
+from panobench.errors import PanobenchWarning
 
 
 def load_command(name: str) -> Any:
@@ -42,9 +45,19 @@ class LazyGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         name = args[0]
         if name in COMMANDS:
+            if name in COMPUTING and not {"-h", "--help"} & set(args):
+                _say_where_kernels_are()
             return name, load_command(name), args[1:]
         if not name.startswith("-") and not ctx.resilient_parsing:
             close = difflib.get_close_matches(name, COMMANDS, n=1, cutoff=0.5)
             hint = f"did you mean '{close[0]}'? " if close else ""
             ctx.fail(f"unknown command '{name}': {hint}known: {', '.join(COMMANDS)}")
         return super().resolve_command(ctx, args)
+
+
+def _say_where_kernels_are() -> None:
+    """A warning if they are compiled into a temporary folder. Raises UnavailableError where there is not even that."""
+    kernel_cache.require()
+    line = kernel_cache.note()
+    if line is not None:
+        warnings.warn(line, PanobenchWarning, stacklevel=2)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import io
+import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -50,6 +54,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     warnings.showwarning = _one_line_warning
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names that are not UTF-8, terminals that have not all letters
+            stream.reconfigure(errors="backslashreplace")
+    code = _guarded(arguments)
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        _drop_output()
+    except OSError as error:  # said now, not while Python shuts down
+        _drop_output()
+        return _complain(_OUTPUT_LOST.format(error.strerror or error), 2)
+    return code
+
+
+#: What a command has done is done when its output cannot be written.
+_OUTPUT_LOST = "standard output cannot be written ({}); send it elsewhere. Files that were written are complete"
+
+
+def _guarded(arguments: Sequence[str] | None) -> int:
+    """The exit code, errors said in one line; what is no fault of the user's is raised."""
     try:
         code = typer.main.get_command(app).main(
             list(sys.argv[1:] if arguments is None else arguments), prog_name="panobench", standalone_mode=False
@@ -64,22 +89,46 @@ def run(arguments: Sequence[str] | None = None) -> int:
             print(error.format_message())
             return 2
         return _complain(error.format_message(), 2)
+    except SystemExit as end:
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
+        _drop_output()  # as below: the command line's parser says 1
+        return 0
     except BrokenPipeError:
         # the reader (head, less) has gone
-        sys.stderr.close()
+        _drop_output()
         return 0
+    except OSError as error:
+        if error.filename is not None or error.errno != errno.ENOSPC:
+            raise
+        _drop_output()  # a full /dev/full, or the disk that output goes to
+        return _complain(_OUTPUT_LOST.format(error.strerror), 2)
+
+
+def _drop_output() -> None:
+    """Let what standard output still holds go nowhere, so that Python does not complain when it ends."""
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), sys.stdout.fileno())
+    except (OSError, ValueError, AttributeError):  # captured, closed
+        pass
 
 
 def _complain(message: str, code: int) -> int:
-    print(f"panobench: {' '.join(message.split())}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # a full disk behind standard error: the code says it
+        print(f"panobench: {' '.join(message.split())}", file=sys.stderr)
     return code
 
 
 def _one_line_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     if category.__module__.startswith("panobench"):
-        print(f"panobench: warning: {message}", file=sys.stderr)
+        line = f"panobench: warning: {message}"
     elif not issubclass(category, DeprecationWarning):
-        print(f"{category.__name__}: {message}", file=sys.stderr)
+        line = f"{category.__name__}: {message}"
+    else:
+        return
+    with contextlib.suppress(OSError):
+        print(line, file=sys.stderr)
 
 
 if __name__ == "__main__":

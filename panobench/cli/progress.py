@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import time as clock
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -56,6 +58,12 @@ class ProgressBar(Observer):
 
     def stage(self, text: str) -> None:
         self._progress.update(self._task, description=f"{self._title}: {text}")
+
+    def interrupted(self) -> None:
+        """Past Python's buffers, which the signal may have found in use."""
+        line = "panobench: finishing with the frames there are; once more keeps their poses and drops the map"
+        with contextlib.suppress(OSError):
+            os.write(2, f"\r\x1b[2K{line}\n".encode() if self._console.is_terminal else f"{line}\n".encode())
 
     def log(self, line: str) -> None:
         if self._verbose:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,7 @@ def files_provenance(files: list[Path]) -> dict[str, Any]:
     whole = sum(sizes) <= WHOLE_LIMIT
     digest = hashlib.sha256()
     for i, (path, size) in enumerate(zip(files, sizes)):
-        digest.update(f"{path.name}\0{size}\0".encode())
+        digest.update(os.fsencode(path.name) + f"\0{size}\0".encode())
         if whole or i in (0, len(files) - 1):
             digest.update(known_sha256(path).encode())
     return {

@@ -20,8 +20,8 @@ from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import read_image, read_mask
 from panobench.datasets.imu_table import read_imu_table
+from panobench.datasets.listing import children
 from panobench.datasets.locate import choose_sequence
-from panobench.datasets.natural import natural_paths
 from panobench.datasets.trajectory_io import (
     check_times,
     parse_floats,
@@ -64,7 +64,7 @@ def is_sequence(folder: Path) -> bool:
 def find_sequences(root: Path, levels: int = 3) -> list[str]:
     """Sequences below ``root`` as relative paths, at most ``levels`` folders down; unfinished ones are skipped."""
     found = []
-    for child in natural_paths(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
+    for child in (p for p in children(root) if p.is_dir()):
         if child.name.endswith(".partial"):
             continue
         if is_sequence(child):

@@ -20,6 +20,7 @@ from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import IMAGE_SUFFIXES, list_images
 from panobench.datasets.json_poses import read_json, rigid, rigid_matrix
+from panobench.datasets.listing import visible
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.natural import natural_key, natural_names, natural_paths, same_but_for_numbers
 from panobench.datasets.synpano import panorama_camera, raw_to_camera_axes
@@ -40,8 +41,8 @@ class OmniBlender(Dataset):
             raise DatasetError("dataset 'omniblender' needs --root PATH")
         if _is_scene(self.root):
             return {self.root.resolve().name: self.root}
-        folders = [p for k in (1, 2) for p in natural_paths(self.root.glob("*/" * (k - 1) + "*")) if p.is_dir()]
-        found = {p.relative_to(self.root).as_posix(): p for p in folders if _is_scene(p)}
+        folders = [p for k in (1, 2) for p in natural_paths(self.root.glob("*/" * (k - 1) + "*")) if visible(p)]
+        found = {p.relative_to(self.root).as_posix(): p for p in folders if p.is_dir() and _is_scene(p)}
         if not found:
             raise DatasetError(
                 f"no scene here: SCENE/{_TRANSFORMS} (OmniBlender) or SCENE/Egocentric/cameras/ (OB3D) is expected",

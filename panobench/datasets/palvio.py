@@ -21,8 +21,8 @@ from panobench.datasets.checksums import files_provenance
 from panobench.datasets.folder import read_imu_csv
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, scaled_camera
 from panobench.datasets.images import list_images, resize_image, to_rgb
+from panobench.datasets.listing import children
 from panobench.datasets.locate import choose_sequence
-from panobench.datasets.natural import natural_paths
 from panobench.datasets.palvio_calibration import PalvioCalibration, find_calibration
 from panobench.datasets.trajectory_io import check_times, read_tum
 from panobench.datasets.trajectory_match import interpolate_poses
@@ -222,9 +222,8 @@ class Palvio(Dataset):
             return {root.stem if root.is_file() else root.resolve().name: root}
         if not root.is_dir():
             raise DatasetError("no such file or folder", root)
-        found = {p.stem: p for p in natural_paths(root.iterdir()) if p.suffix == ".bag" and p.is_file()}
-        folders = (p for p in natural_paths(root.iterdir()) if p.is_dir() and _is_extracted(p))
-        found |= {p.name: p for p in folders if p.name not in found}
+        found = {p.stem: p for p in children(root) if p.suffix == ".bag" and p.is_file()}
+        found |= {p.name: p for p in children(root) if p.is_dir() and _is_extracted(p) and p.name not in found}
         if not found:
             raise DatasetError("no .bag file and no folder with images/ here", root)
         return found

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.images import IMAGE_SUFFIXES, read_image, read_size
-from panobench.datasets.natural import natural_paths
+from panobench.datasets.listing import children
 from panobench.datasets.open import open_sequence
 from panobench.datasets.video import VIDEO_SUFFIXES
 from panobench.errors import DatasetError, UnknownNameError, UsageError
@@ -131,7 +131,7 @@ def guess_dataset(path: Path) -> str:
         for pattern, dataset in _MARKS.items():
             if any(path.glob(pattern)):
                 return dataset
-        videos = natural_paths(p for p in path.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES)
+        videos = [p for p in children(path) if p.suffix.lower() in VIDEO_SUFFIXES]
         if videos:
             return _guess_video(videos[0])
     raise DatasetError("neither an image nor a sequence that is recognised; name its --dataset", path)

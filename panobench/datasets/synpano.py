@@ -20,8 +20,8 @@ from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.columns import columns
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import list_images, read_image
+from panobench.datasets.listing import children, one_of_each
 from panobench.datasets.locate import choose_sequence
-from panobench.datasets.natural import natural_names
 from panobench.datasets.trajectory_io import check_times, parse_floats, poses_from_rows, read_rows
 from panobench.errors import DatasetError
 from panobench.types import NovelView, Trajectory
@@ -130,7 +130,7 @@ def scene_names(root: Path, dataset: str) -> list[str]:
         raise DatasetError(f"{dataset} is a folder of scenes, this is a file", root)
     if is_scene(root):
         return [root.resolve().name]
-    names = natural_names(p.name for p in root.iterdir() if p.is_dir() and is_scene(p))
+    names = [p.name for p in children(root) if p.is_dir() and is_scene(p)]
     if not names:
         raise DatasetError(f"no {dataset} scene here: neither images/ nor a sub-folder that has images/", root)
     return names
@@ -168,7 +168,7 @@ class SynPano(Dataset):
             check_times(times, table_path, table.lines)
             groundtruth = Trajectory(times, self.axes(table.T_wc))
         else:
-            images = every_image
+            images = one_of_each(every_image)
             times = np.arange(len(images)) / self.rate_hz
         if not images:
             raise DatasetError("the sequence is empty: images/ has no image", folder)

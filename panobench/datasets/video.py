@@ -16,8 +16,8 @@ from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.image_sequence import scaled_camera
 from panobench.datasets.images import read_mask
+from panobench.datasets.listing import by_stem, children
 from panobench.datasets.locate import choose_sequence
-from panobench.datasets.natural import natural_paths
 from panobench.datasets.synpano import panorama_camera
 from panobench.errors import DatasetError
 from panobench.video.reader import VideoReader
@@ -95,12 +95,10 @@ def video_files(root: Path) -> dict[str, Path]:
         return {root.stem: root}
     if not root.is_dir():
         raise DatasetError("no such file or folder", root)
-    found = [p for p in natural_paths(root.iterdir()) if p.suffix.lower() in VIDEO_SUFFIXES and p.name[0] != "."]
-    found = [p for p in found if p.is_file()]
+    found = by_stem(p for p in children(root) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file())
     if not found:
         raise DatasetError(f"no video here ({', '.join(VIDEO_SUFFIXES)})", root)
-    stems = [p.stem for p in found]
-    return {p.stem if stems.count(p.stem) == 1 else p.name: p for p in found}
+    return found
 
 
 class Video(Dataset):

@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import shutil
@@ -26,6 +25,7 @@ from panobench.datasets.checksums import sha256_bytes, sha256_file
 from panobench.datasets.images import encode_depth, encode_image
 from panobench.datasets.trajectory_io import rows_from_poses, tum_text
 from panobench.errors import DatasetError, UsageError
+from panobench.locking import lock
 from panobench.types import Imu, NovelView, Trajectory
 from panobench.writing import writing
 
@@ -113,10 +113,10 @@ class SequenceWriter:
         self.partial.mkdir(parents=True, exist_ok=True)
         handle = os.open(self.partial / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            held = os.path.samestat(os.fstat(handle), os.stat(self.partial / LOCK))
-        except (BlockingIOError, FileNotFoundError):
-            held = False  # another writer has it, or has just finished with it
+            held = lock(handle, self.partial / LOCK)
+            held = held and os.path.samestat(os.fstat(handle), os.stat(self.partial / LOCK))
+        except FileNotFoundError:
+            held = False  # another writer has just finished with it
         if not held:
             os.close(handle)
             raise UsageError(f"{self.path} is being written by another process; wait for it or choose another --out")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from panobench.datasets import trajectory_io as io
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.natural import natural_paths
+from panobench.datasets.listing import children
 from panobench.datasets.trajectory_match import match_to_times
 from panobench.errors import InputError, UsageError
 from panobench.external.trajectory import READERS, Kind
@@ -155,8 +155,11 @@ def find_renders(folder: Path, index: list[int], sequence: FrameSequence) -> lis
     """
     if not folder.is_dir():
         raise InputError("no such folder of renders", folder)
-    files = natural_paths(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.name[0] != ".")
+    files = [p for p in children(folder) if p.suffix.lower() in IMAGE_SUFFIXES]
     by_stem = {p.stem: p for p in files}
+    if len(by_stem) < len(files):
+        twice = next(p for p in files if by_stem[p.stem] is not p)
+        raise InputError(f"two renders of one name: {twice.name} and {by_stem[twice.stem].name}; keep one", folder)
     by_number = _by_number(files, len(sequence))
     names = {i: Path(sequence.frame_name(i)).stem for i in index}
     for table in ({i: by_stem.get(names[i]) for i in index}, {i: by_number.get(i) for i in index}):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -79,6 +79,13 @@ class OnlineMethod(ABC):
 
     def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
         """RGB (H, W, 3) in 0..1 seen from a pose in the method's own world; None if it has no such map."""
+        return None
+
+    def known_poses(self) -> Mapping[int, NDArray[np.float64]] | None:
+        """Camera-to-world poses by frame index as they are known now, for a run that is stopped without ``finish``.
+
+        None: those that ``track`` gave.
+        """
         return None
 
     def live_map(self) -> LiveMap | None:

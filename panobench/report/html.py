@@ -31,6 +31,7 @@ from panobench.report.studies import study_section
 from panobench.report.table_model import Table, natural
 from panobench.report.tables import run_tables
 from panobench.report.variants import variants
+from panobench.writing import TEXT
 
 _TEMPLATES = Path(__file__).parent / "templates"
 #: Largest size of a page, bytes: mail servers and repositories accept it, and browsers open it at once.
@@ -57,7 +58,7 @@ def build_html(
     for _ in range(_ATTEMPTS):
         gallery = make_gallery(collection, assets, budget)
         text = _page(collection, gallery, title, published, now or datetime.now(timezone.utc))
-        excess = len(text.encode()) - max_bytes
+        excess = len(text.encode(**TEXT)) - max_bytes
         if excess <= 0 or gallery.plan == SMALLEST:
             break
         budget = max(0, min(budget, sum(map(len, gallery.store.values()))) - round(1.05 * excess))

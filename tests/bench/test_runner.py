@@ -204,6 +204,44 @@ def test_a_second_interrupt_skips_finish_and_keeps_live_poses(tmp_path: Path) ->
     assert len(read_tum(folder / "trajectory.tum")) == 3
 
 
+class Hammers(Interrupts):
+    """Ctrl-C again and again: while finishing, scoring and writing."""
+
+    def __init__(self) -> None:
+        self.told = 0
+
+    def interrupted(self) -> None:
+        self.told += 1
+
+    def stage(self, text: str) -> None:
+        if text in ("finishing", "writing"):
+            for _ in range(3):
+                os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_many_interrupts_still_keep_the_poses(tmp_path: Path) -> None:
+    before, observer = signal.getsignal(signal.SIGINT), Hammers()
+    folder = execute(RunRequest(method="fake-still", dataset="tiny", width=128), tmp_path / "out", observer=observer)
+    assert read_run_json(folder)["status"] == "interrupted"
+    assert len(read_tum(folder / "trajectory.tum")) == 3
+    assert observer.told == 1
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_interrupted_method_may_know_more_than_it_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses that ``track`` could not give at the time, and none that is no pose."""
+    from panobench.methods.base import OnlineMethod
+
+    known: dict[int, Any] = {0: np.eye(4), 1: np.eye(4), 7: np.eye(4)}
+    monkeypatch.setattr(OnlineMethod, "known_poses", lambda self: known)
+    request = RunRequest(method="fake-still", dataset="tiny", width=128)
+    folder = execute(request, tmp_path / "out", observer=InterruptsTwice())
+    assert len(read_tum(folder / "trajectory.tum")) == 2
+    known[1] = np.full((4, 4), np.nan)
+    folder = execute(request, tmp_path / "again", observer=InterruptsTwice())
+    assert len(read_tum(folder / "trajectory.tum")) == 3  # those that track() gave
+
+
 @pytest.mark.parametrize(
     ("method", "options", "error", "says"),
     [

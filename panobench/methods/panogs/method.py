@@ -250,6 +250,9 @@ class PanogsMethod(OnlineMethod):
 
     # -- looking at it -------------------------------------------------------------------------------------------------
 
+    def known_poses(self) -> dict[int, NDArray[np.float64]]:
+        return {index: self.trajectory[index] for index in self.trajectory}
+
     def live_map(self) -> LiveMap | None:
         gaussians = self.mapper.map.gaussians
         if not len(gaussians):

@@ -275,6 +275,12 @@ class SparseMethod(OnlineMethod):
             extra=extra,
         )
 
+    def known_poses(self) -> dict[int, Array]:
+        """Those of the map with most frames, which ``finish`` answers with."""
+        sessions = [*self.former, *([self.session] if self.session is not None else [])]
+        session = max(sessions, key=lambda s: len(s.records), default=None)
+        return {} if session is None else {r.index: invert_pose(session.pose_of(r)) for r in session.records}
+
     def _refit(self, m: PointMap, record: FrameRecord, T: Array) -> Array:
         """The pose again, from the frame's own measurements and the points as they are now."""
         alive = m.state[record.points] == ACTIVE
