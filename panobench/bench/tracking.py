@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from panobench.bench.interrupts import InterruptRequest
 from panobench.bench.observer import Observer
-from panobench.bench.views import BlindSequence, FrameReader
+from panobench.bench.views import FrameReader, MethodSequence
 from panobench.datasets.base import FrameSequence
 from panobench.errors import MethodError, PanobenchError
 from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
@@ -111,7 +111,7 @@ def track_batch(
 ) -> Tracked:
     """Run a batch method. Errors are treated as in ``track_online``."""
     result = Tracked()
-    blind = BlindSequence(sequence, holdout, context.imu)
+    blind = MethodSequence(sequence, holdout, context.imu)
     where, busy = "set_up()", 0.0
     begin = time.perf_counter()
     with InterruptRequest(at_once=True):

@@ -93,7 +93,7 @@ class FrameReader:
         return Frame(index, float(sequence.times[index]), image, mappable, depth, sequence.frame_name(index))
 
 
-class BlindSequence(FrameSequence):
+class MethodSequence(FrameSequence):
     """The sequence as a batch method gets it, without ground truth: only a function reaches the original."""
 
     def __init__(self, sequence: FrameSequence, holdout: frozenset[int] = frozenset(), imu: Imu | None = None) -> None:

@@ -52,7 +52,7 @@ class PerspectiveCut:
 
 
 def perspective_views(camera: Camera) -> list[PerspectiveCut]:
-    """Those of the three 120 x 60 degree views (front, left, right) that the camera (nearly) wholly sees.
+    """The views of 120 x 60 degrees (front, left, right) that the camera sees almost wholly.
 
     Their resolution in the middle is the camera's in that direction, their width a multiple of 6.
     """

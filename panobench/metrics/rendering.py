@@ -1,6 +1,6 @@
-"""Image quality of the map: the paper's three views, the panorama, held-out frames and novel views.
+"""Image quality of the map in the paper's three views, the panorama, held-out frames and novel views.
 
-Which frames are looked at, and every definition: docs/protocol.md.
+docs/protocol.md defines every number, and which frames are rendered.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Image = NDArray[np.float32]
 
 @dataclass
 class Means:
-    """Means over images; what could not be measured does not count."""
+    """Means over images, without those that could not be measured."""
 
     values: dict[str, list[float]] = field(default_factory=dict)
 
@@ -119,7 +119,7 @@ class FrameJudge:
             self._add_direct(means, truth, T_wc)
 
     def _view_pairs(self, truth: Image, render: Image) -> Iterable[tuple[Image, Image, NDArray[np.bool_]]]:
-        """The views of the map and of the frame, by one and the same look-up."""
+        """The views of the map and of the frame, both cut out in the same way."""
         if not self.views:
             yield render, truth, self.valid
         for view in self.views:

@@ -1,4 +1,4 @@
-"""What a plugin's tests import: a tiny sequence, a fake camera, run helpers, fixtures and the conformance suite.
+"""Helpers for a plugin's tests: a tiny sequence, a fake camera, runs, fixtures and the conformance suite.
 
 In ``conftest.py``: ``from panobench.testing import fake_camera, rotating_sequence, tiny_sequence``.
 """

@@ -1,4 +1,4 @@
-"""A camera model of no real lens, complete by the contract: a fisheye whose radius is f tan(angle / 4)."""
+"""A camera model that no real lens has, complete by the contract: a fisheye whose radius is f tan(angle / 4)."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class FakeCamera(Camera):
         return rays
 
     def jacobian(self, points: ArrayLike) -> Array:
-        """By central differences: this camera is for tests, not for speed."""
+        """As ``Camera.jacobian``, by central differences."""
         p = np.asarray(points, dtype=np.float64)
         columns = []
         for axis in range(3):

@@ -1,6 +1,6 @@
-"""The conformance suite: does a plugin keep the contract? Each check passes, fails or is skipped with a reason.
+"""The conformance suite checks whether a plugin keeps the contract. A check passes, fails or is skipped with a reason.
 
-``check_spec(spec)`` for one spec; ``assert_conforms(spec)`` in a plugin's own tests.
+Use ``check_spec(spec)`` for one spec, and ``assert_conforms(spec)`` in a plugin's own tests.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Check:
 
 @dataclass(frozen=True)
 class Options:
-    """root: data folder for a dataset that needs one. seed: given to methods and estimators.
+    """How to check. root: data folder, for a dataset that needs one. seed: given to methods and estimators.
 
-    preset: of a method's options ("": its defaults), for methods too slow to be checked with their defaults.
+    preset: of a method's options ("": its defaults), for methods that are too slow with their defaults.
     """
 
     root: Path | None = None
@@ -42,11 +42,11 @@ class Options:
 
 
 class Failed(Exception):
-    """Raised inside a check: the contract is broken, in the words shown to the author."""
+    """Raised inside a check when the contract is broken; the message is for the author."""
 
 
 class Skipped(Exception):
-    """Raised inside a check: it does not apply or cannot run here."""
+    """Raised inside a check that does not apply or cannot run here."""
 
 
 def require(condition: object, message: str) -> None:
@@ -91,7 +91,7 @@ def check_spec(spec: Spec, options: Options | None = None) -> list[Check]:
 
 
 def assert_conforms(spec: Spec, options: Options | None = None) -> None:
-    """For a plugin's tests: AssertionError listing every failed check."""
+    """Raise AssertionError with every failed check, for use in a plugin's tests."""
     failed = [c for c in check_spec(spec, options) if c.outcome == "fail"]
     if failed:
         raise AssertionError("\n".join(f"{c.spec}, {c.name}: {c.message}" for c in failed))

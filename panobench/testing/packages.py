@@ -1,4 +1,4 @@
-"""Finding a plugin to check: an installed distribution, an entry point, or a folder with a pyproject.toml."""
+"""Find a plugin to check: an installed distribution, an entry point, or a folder with a pyproject.toml."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _load(name: str, entries: dict[str, str]) -> FoundPlugin:
             plugin = importlib.import_module(module)
             modules.append(getattr(plugin, attribute) if attribute else plugin)
             registry.add_plugin(modules[-1], f"{name}:{entry}", name)
-        except (Exception, SystemExit) as error:  # a stranger's import may raise anything
+        except (Exception, SystemExit) as error:  # a plugin's import may raise anything
             reason = f"{type(error).__name__}: {error}"
             raise UnavailableError(f"plugin '{entry}' of {name} cannot be loaded: {reason}") from error
     return FoundPlugin(name, modules, [r.spec for r in registry.all() if id(r) not in before])

@@ -1,4 +1,4 @@
-"""Stand-in programs for tests of adapters: executables that honour another's files and command line."""
+"""Write stand-in programs for tests of adapters: they take the command line and files of the genuine program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run one method on one sequence in this process, the way the runner does, without a run folder."""
+"""Run one method on one sequence in this process, as the runner does, but without a run folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from panobench.bench.blas import one_blas_thread
 from panobench.datasets.base import FrameSequence
-from panobench.geometry import umeyama
 from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
 from panobench.specs import load_object
 from panobench.testing.sequences import BlindSequence
@@ -105,14 +104,19 @@ def _nothing() -> Any:
 
 
 def ate_rmse(run: MethodRun, sequence: FrameSequence) -> float:
-    """Position error in metres, RMSE after alignment (Sim(3), or SE(3) for a metric estimate) over tracked frames."""
-    truth = sequence.groundtruth
-    if truth is None:
-        raise ValueError("the sequence has no ground truth")
-    estimate = run.estimate.trajectory
-    target = truth.positions[np.searchsorted(truth.times, estimate.times - 1e-6)]
-    moved = umeyama(estimate.positions, target, with_scale=not run.estimate.metric).apply_points(estimate.positions)
-    return float(np.sqrt(((moved - target) ** 2).sum(axis=1).mean()))
+    """ATE in metres, the RMSE of positions after alignment by Sim(3), or by SE(3) for a metric estimate.
+
+    Raises ValueError without ground truth, or where the alignment is not defined.
+    """
+    from panobench.metrics.alignment import match
+    from panobench.metrics.trajectory import align
+
+    matched = match(run.estimate.trajectory, sequence.groundtruth)
+    aligned = align(matched, "se3" if run.estimate.metric else "sim3") if matched is not None else None
+    if aligned is None:
+        raise ValueError("no ground truth, fewer than three tracked frames, or a camera that does not move")
+    translation, _ = aligned.errors()
+    return float(np.sqrt(np.mean(translation**2)))
 
 
 def rotation_error_deg(run: MethodRun, sequence: FrameSequence) -> float:

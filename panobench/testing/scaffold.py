@@ -1,4 +1,4 @@
-"""Writing a new plugin package from the templates beside this module."""
+"""Write a new plugin package from the templates beside this module."""
 
 from __future__ import annotations
 

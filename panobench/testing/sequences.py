@@ -1,4 +1,4 @@
-"""Tiny synthetic sequences with exact truth: a textured box seen by any camera, in milliseconds, without files."""
+"""Tiny synthetic sequences with exact truth: a textured box seen by any camera, rendered in milliseconds."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class TinySequence(FrameSequence):
 
 
 class GivenImages(FrameSequence):
-    """Chosen images at 10 frames/s, without any truth: for black, grey, repeated or odd input."""
+    """Given images at 10 frames/s, without any truth, to test black, grey, repeated or odd input."""
 
     dataset = "testing"
 
@@ -134,9 +134,9 @@ class GivenImages(FrameSequence):
 
 
 class BlindSequence(FrameSequence):
-    """What a batch method may see of a sequence: no ground truth, depth or novel views; remembers who asked.
+    """A sequence without ground truth, depth and novel views, as a batch method sees it.
 
-    ``asked`` lists the names of the truths that were asked for.
+    ``asked`` lists which of them the method asked for.
     """
 
     def __init__(self, inner: FrameSequence, *, imu: bool = False) -> None:

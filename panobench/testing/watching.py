@@ -1,6 +1,6 @@
-"""Which files Python code opens while a method runs, by the interpreter's audit events.
+"""Watch which files Python code opens while a method runs, by the interpreter's audit events.
 
-Sees what goes through Python's ``open``, ``os`` and ``numpy``; not what C++ code opens by itself.
+This sees files opened through Python's ``open``, ``os`` and ``numpy``, not those that C++ code opens by itself.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _hook(event: str, args: tuple[Any, ...]) -> None:
 
 @contextmanager
 def watch_files() -> Iterator[Watched]:
-    """Note every file opened in this process within the block. The hook itself stays installed, doing nothing."""
+    """Note every file that this process opens within the block. The hook stays installed, doing nothing."""
     global _installed
     with _lock:
         if not _installed:

@@ -17,7 +17,7 @@ from panobench.bench.observer import Observer
 from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import read_run_json
 from panobench.bench.runner import default_folder, execute
-from panobench.bench.views import BlindSequence, FrameReader
+from panobench.bench.views import FrameReader, MethodSequence
 from panobench.cameras.erp import ErpCamera
 from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import PanobenchError, UnavailableError, UnknownNameError, UnsupportedError, UsageError
@@ -151,7 +151,7 @@ def test_methods_do_not_see_what_the_mask_hides() -> None:
     read = FrameReader(sequence)
     assert set(np.unique(read(0).image[:20])) == {200}
     assert set(np.unique(read(0).image[20:])) == {0}
-    assert set(np.unique(BlindSequence(sequence).image(0)[20:])) == {0}
+    assert set(np.unique(MethodSequence(sequence).image(0)[20:])) == {0}
     assert sequence.image(0).min() == 200
 
 
