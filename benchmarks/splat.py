@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -29,7 +30,6 @@ from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import fibonacci_sphere, invert_pose, make_pose, quaternion_from_matrix, so3_exp
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.render import Renderer
-from panobench.splat.torch_reference import render_reference
 from panobench.splat.view import Projection
 
 CASES: dict[str, tuple[str, Projection]] = {
@@ -112,7 +112,10 @@ def measure(case: str, n: int, width: int, repeats: int) -> Row:
 
 
 def measure_with_oracle(case: str, n: int, width: int, repeats: int) -> Row:
-    """The same scene through the kernels and, in float32, through dense torch with its autograd."""
+    """The same scene through the kernels and, in float32, through dense torch with its autograd (the tests' oracle)."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "splat"))
+    from torch_reference import render_reference
+
     row = measure(case, n, width, repeats)
     kind, projection = CASES[case]
     camera, gaussians = camera_of(kind, width), room(n)

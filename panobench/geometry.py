@@ -1,8 +1,8 @@
-"""SO(3), SE(3), Sim(3) and the unit sphere. float64, shapes (..., 3), (..., 3, 3), (..., 4, 4).
+"""SO(3), SE(3), Sim(3) and the unit sphere, in float64, for arrays (..., 3), (..., 3, 3) and (..., 4, 4).
 
 Poses are camera-to-world ``T_wc``. Quaternions are (w, x, y, z), real part first, everywhere in the package; files that
 store (x, y, z, w) are reordered where they are read and written.
-Formulas: Sola et al., "A micro Lie theory for state estimation in robotics" (2018).
+Formulas: Sola, Deray & Atchuthan, "A micro Lie theory for state estimation in robotics" (2018).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 def hat(w: ArrayLike) -> Array:
-    """(..., 3) -> (..., 3, 3) skew-symmetric matrix with ``hat(a) @ b == cross(a, b)``."""
+    """(..., 3) -> the skew-symmetric matrix (..., 3, 3) with ``hat(a) @ b == cross(a, b)``."""
     w = np.asarray(w, dtype=np.float64)
     out = np.zeros((*w.shape[:-1], 3, 3))
     out[..., 0, 1], out[..., 0, 2] = -w[..., 2], w[..., 1]
@@ -27,7 +27,7 @@ def hat(w: ArrayLike) -> Array:
 
 
 def _rodrigues_coefficients(theta2: Array) -> tuple[Array, Array, Array]:
-    """sin(t)/t, (1-cos t)/t^2, (t-sin t)/t^3 with series near zero."""
+    """sin(t) / t, (1 - cos t) / t^2 and (t - sin t) / t^3 of t^2 (...), by series near zero."""
     small = theta2 < 1e-8
     t2 = np.where(small, 1.0, theta2)
     t = np.sqrt(t2)
@@ -46,7 +46,7 @@ def so3_exp(w: ArrayLike) -> Array:
 
 
 def so3_log(R: ArrayLike) -> Array:
-    """Rotation matrix (..., 3, 3) -> rotation vector (..., 3), angle in [0, pi]."""
+    """Rotation matrix (..., 3, 3) -> rotation vector (..., 3) in radians, of length at most pi."""
     q = quaternion_from_matrix(R)
     w, v = q[..., 0], q[..., 1:]
     n = np.linalg.norm(v, axis=-1)
@@ -56,7 +56,7 @@ def so3_log(R: ArrayLike) -> Array:
 
 
 def se3_exp(xi: ArrayLike) -> Array:
-    """Twist (..., 6) = (translation, rotation) -> (..., 4, 4)."""
+    """Twist (..., 6) = (translation, rotation) -> rigid transform (..., 4, 4)."""
     xi = np.asarray(xi, dtype=np.float64)
     rho, w = xi[..., :3], xi[..., 3:]
     a, b, c = _rodrigues_coefficients(np.sum(w * w, axis=-1))
@@ -71,7 +71,7 @@ def se3_exp(xi: ArrayLike) -> Array:
 
 
 def se3_log(T: ArrayLike) -> Array:
-    """(..., 4, 4) -> twist (..., 6) = (translation, rotation)."""
+    """Rigid transform (..., 4, 4) -> twist (..., 6) = (translation, rotation)."""
     T = np.asarray(T, dtype=np.float64)
     w = so3_log(T[..., :3, :3])
     _, b, c = _rodrigues_coefficients(np.sum(w * w, axis=-1))
@@ -82,7 +82,7 @@ def se3_log(T: ArrayLike) -> Array:
 
 
 def make_pose(R: ArrayLike, t: ArrayLike) -> Array:
-    """Rotation (..., 3, 3) and translation (..., 3) -> (..., 4, 4)."""
+    """Rotation (..., 3, 3) and translation (..., 3) -> rigid transform (..., 4, 4)."""
     R, t = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
@@ -90,14 +90,14 @@ def make_pose(R: ArrayLike, t: ArrayLike) -> Array:
 
 
 def invert_pose(T: ArrayLike) -> Array:
-    """Inverse of rigid (..., 4, 4)."""
+    """The inverse of a rigid transform (..., 4, 4)."""
     T = np.asarray(T, dtype=np.float64)
     Rt = np.swapaxes(T[..., :3, :3], -1, -2)
     return make_pose(Rt, -(Rt @ T[..., :3, 3][..., None])[..., 0])
 
 
 def renormalise(T: ArrayLike) -> Array:
-    """Nearest rigid pose (SVD of the rotation). Composing poses in float drifts off SO(3) otherwise."""
+    """The nearest rigid transform (..., 4, 4), by an SVD of the rotation: products of poses drift off SO(3)."""
     T = np.array(T, dtype=np.float64)
     U, _, Vt = np.linalg.svd(T[..., :3, :3])
     d = np.linalg.det(U @ Vt)
@@ -148,18 +148,18 @@ def _warn_of_order(old: str, new: str) -> None:
 
 @dataclass(frozen=True)
 class Sim3:
-    """x -> scale * R @ x + t."""
+    """The similarity x -> scale R x + t, with R (3, 3) and t (3,)."""
 
     scale: float
     R: Array
     t: Array
 
     def apply_points(self, points: ArrayLike) -> Array:
-        """(..., 3) -> (..., 3)."""
+        """Points (..., 3) -> points (..., 3)."""
         return np.asarray(self.scale * (np.asarray(points) @ self.R.T) + self.t)
 
     def apply_poses(self, T_wc: ArrayLike) -> Array:
-        """Camera-to-world poses (..., 4, 4) moved into the target world; they stay rigid."""
+        """Camera-to-world poses (..., 4, 4) -> those in the target world, still rigid."""
         T_wc = np.asarray(T_wc, dtype=np.float64)
         return make_pose(self.R @ T_wc[..., :3, :3], self.apply_points(T_wc[..., :3, 3]))
 
@@ -169,10 +169,10 @@ class Sim3:
 
 
 def umeyama(source: ArrayLike, target: ArrayLike, with_scale: bool = True) -> Sim3:
-    """Least-squares Sim(3) (or SE(3)) taking source points (N, 3) onto target points (N, 3).
+    """The Sim(3), or SE(3) without scale, that takes source points (N, 3) onto target points (N, 3) in least squares.
 
-    Umeyama, "Least-squares estimation of transformation parameters" (PAMI 1991). Fewer than three
-    distinct points give a rotation that is not unique; the result is still a minimiser.
+    Umeyama, "Least-squares estimation of transformation parameters between two point patterns" (PAMI 1991). With fewer
+    than three distinct points the rotation is not unique; the result is then one of the minimisers.
     """
     p, q = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
     mp, mq = p.mean(axis=0), q.mean(axis=0)
@@ -188,20 +188,20 @@ def umeyama(source: ArrayLike, target: ArrayLike, with_scale: bool = True) -> Si
 
 
 def directions_from_lonlat(lon: ArrayLike, lat: ArrayLike) -> Array:
-    """Unit rays (..., 3); lon = atan2(x, z), lat = atan2(-y, hypot(x, z)), radians."""
+    """Longitude, latitude (...) in radians -> unit rays (..., 3): lon = atan2(x, z), lat = atan2(-y, hypot(x, z))."""
     lon, lat = np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
     c = np.cos(lat)
     return np.stack([c * np.sin(lon), -np.sin(lat), c * np.cos(lon)], axis=-1)
 
 
 def lonlat_from_directions(rays: ArrayLike) -> tuple[Array, Array]:
-    """(..., 3), any length -> lon in (-pi, pi], lat in [-pi/2, pi/2]."""
+    """Rays (..., 3) of any length -> longitude in (-pi, pi] and latitude in [-pi/2, pi/2], radians."""
     r = np.asarray(rays, dtype=np.float64)
     return np.arctan2(r[..., 0], r[..., 2]), np.arctan2(-r[..., 1], np.hypot(r[..., 0], r[..., 2]))
 
 
 def fibonacci_sphere(n: int) -> Array:
-    """n nearly equal-area unit directions (n, 3) (spherical Fibonacci lattice, Gonzalez 2010)."""
+    """n unit directions (n, 3) of nearly equal area: the spherical Fibonacci lattice (Gonzalez 2010)."""
     k = np.arange(n) + 0.5
     y = 1.0 - 2.0 * k / n
     phi = np.pi * (3.0 - np.sqrt(5.0)) * k

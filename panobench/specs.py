@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any, ClassVar
@@ -140,6 +140,3 @@ class StudySpec(Spec):
     """A study; the implementation is a function ``f(StudyRequest) -> StudyResult``."""
 
     kind: ClassVar[str] = "study"
-
-
-Probe = Callable[[], "str | None"]

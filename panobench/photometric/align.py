@@ -8,7 +8,7 @@ Levenberg-Marquardt's, and a step is kept only if it lowers the mean robust cost
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +27,8 @@ class Alignment:
     """The result of ``align``; figures are of the last level.
 
     T_fr (4, 4): frame from reference camera. cost: mean robust cost. sigma: robust standard deviation of the residuals,
-    of 1. overlap: share of the reference's weight that was seen. iterations: over all levels. converged: the last level
-    ended because its steps became small. hessian (6, 6): over a twist (translation, rotation) of the reference camera.
-    gain, offset: frame = exp(gain) reference + offset. costs: of each level.
+    of 1. overlap: share of the reference's weight that was seen. iterations: over all levels. hessian (6, 6): over a
+    twist (translation, rotation) of the reference camera. gain, offset: frame = exp(gain) reference + offset.
     """
 
     T_fr: NDArray[np.float64]
@@ -37,11 +36,9 @@ class Alignment:
     sigma: float
     overlap: float
     iterations: int
-    converged: bool
     hessian: NDArray[np.float64]
     gain: float = 0.0
     offset: float = 0.0
-    costs: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -80,8 +77,7 @@ def align(
     top = min(len(reference.levels), len(frame)) - 1
     first = top if coarsest is None else min(coarsest, top)
     state = _State(renormalise(T_fr), gain, offset)
-    count, converged, costs = 0, False, []
-    now = UNSEEN
+    count, now = 0, UNSEEN
     for step, level_index in enumerate(range(first, min(finest, first) - 1, -1)):
         level, image = reference.levels[level_index], frame[level_index]
 
@@ -93,7 +89,7 @@ def align(
             )
 
         limit = options.iterations[min(step, len(options.iterations) - 1)]
-        damping, converged = 1e-4, False
+        damping = 1e-4
         before = evaluate(state, 1.0, 10.0)
         huber = max(options.huber * before.sigma, options.huber_min)
         cut = options.cut * huber if level_index < options.cut_levels else 10.0
@@ -120,23 +116,18 @@ def align(
             else:
                 damping *= 20
                 if damping > 1e3:
-                    converged = True
                     break
             if np.linalg.norm(x[:3]) < options.step_m and np.linalg.norm(x[3:6]) < options.step_rad:
-                converged = True
                 break
-        costs.append(now.cost)
     return Alignment(
         renormalise(state.T),
         now.cost,
         now.sigma,
         now.seen,
         count,
-        converged,
         now.H[:6, :6],
         state.gain,
         state.offset,
-        costs,
     )
 
 

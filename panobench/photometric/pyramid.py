@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from panobench.kernels.jit import PARALLEL
 
 F32 = NDArray[np.float32]
-#: Rec. 601 luma.
-_LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 @njit(**PARALLEL)
 def _luma_u8(image, valid, out):  # type: ignore[no-untyped-def]
+    """Luma of Rec. 601, as in ``_luma_planes``."""
     for y in prange(image.shape[0]):
         for x in range(image.shape[1]):
             if valid[y, x]:

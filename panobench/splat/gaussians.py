@@ -78,7 +78,3 @@ class GaussianMap:
         from panobench.splat.ply import write_ply
 
         write_ply(path, self.means, self.log_scales, self.quats, self.opacity_logits, self.colours)
-
-    @property
-    def nbytes(self) -> int:
-        return sum(a.nbytes for a in self.arrays())

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch_reference import ALPHA_MIN, ReferenceOutput, render_reference
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.splat.gaussians import GaussianMap
-from panobench.splat.torch_reference import ALPHA_MIN, ReferenceOutput, render_reference
 from panobench.splat.view import Projection
 
 NAMES = ("means", "log_scales", "quats", "opacity_logits", "colours")

@@ -1,11 +1,11 @@
-"""The renderer once more in plain, dense torch: the oracle the kernels are tested against.
+"""The renderer once more in plain, dense torch: the oracle that the kernels are tested against.
 
-Every Gaussian meets every pixel, so it is slow and has no tiles, bounds or early stop to get wrong. Any
-dtype and device; float64 for tests. Differentiable in all parameters and in a pose twist.
+Every Gaussian meets every pixel, which is slow, but there are no tiles, bounds or early stop to get wrong. It works in
+any dtype and on any device (tests use float64), and is differentiable in all parameters and in a twist of the pose.
 
-Formulas: compositing and the pinhole conic are those of Kerbl et al., "3D Gaussian Splatting for Real-Time
-Radiance Field Rendering" (2023) after Zwicker et al., "EWA Volume Splatting" (2001); the ERP conic uses the
-Jacobian of the equirectangular projection; the sphere projection is described in ``_sphere``.
+Formulas: compositing and the pinhole's conic are those of Kerbl et al., "3D Gaussian splatting for real-time radiance
+field rendering" (2023), after Zwicker et al., "EWA volume splatting" (2001); the panorama's conic uses the Jacobian of
+the equirectangular projection; ``_sphere`` describes the projection on the sphere.
 """
 
 from __future__ import annotations
