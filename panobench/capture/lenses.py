@@ -7,14 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.cameras.base import Camera
-
 Array = NDArray[np.float64]
 
 #: Half the angle over which one lens's picture fades into the other's, radians.
 BLEND = np.deg2rad(4.0)
-#: The circle of a lens reaches this far from its axis, radians: row times are measured over it.
-REACH = np.deg2rad(95.0)
 #: Things at this distance are stitched without a seam, metres.
 STITCHED_AT = 2.0
 
@@ -48,20 +44,6 @@ def lenses(rays: Array, baseline: float) -> list[Lens]:
         return [Lens(np.zeros(3), np.ones(rays.shape[:2]))]
     half = np.array([0.0, 0.0, 0.5 * baseline])
     return [Lens(o, w) for o, w in zip((half, -half), lens_weights(rays))]
-
-
-def row_times(camera: Camera, rays: Array) -> Array:
-    """When each pixel's row is read, (H, W) in -1/2..1/2 of the readout, by its direction ``rays`` (H, W, 3).
-
-    A panorama comes from two equidistant fisheye lenses along +-z whose rows run down; other cameras have their own
-    rows.
-    """
-    if camera.kind != "erp":
-        row = (np.arange(camera.height) + 0.5) / camera.height - 0.5
-        return np.broadcast_to(row[:, None], rays.shape[:2]).copy()
-    across = np.hypot(rays[..., 0], rays[..., 1])
-    theta = np.arctan2(across, np.abs(rays[..., 2]))
-    return np.asarray(0.5 * theta / REACH * rays[..., 1] / np.maximum(across, 1e-12))
 
 
 def gains(t: float, stops: float, seed: int = 0) -> Array:

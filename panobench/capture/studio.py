@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.row_times import row_times
 from panobench.capture.car import Car
 from panobench.capture.casting import Coverage, Light, cast, light_of
-from panobench.capture.lenses import gains, lens_weights, lenses, row_times
+from panobench.capture.lenses import gains, lens_weights, lenses
 from panobench.capture.motion import Ride, levelling
 from panobench.capture.operator import Operator
 from panobench.capture.parts import Parts

@@ -7,7 +7,8 @@ import pytest
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.capture.lenses import STITCHED_AT, gains, lens_weights, lenses, row_times
+from panobench.cameras.row_times import row_times
+from panobench.capture.lenses import STITCHED_AT, gains, lens_weights, lenses
 from panobench.capture.motion import Ride, levelling
 from panobench.geometry import make_pose, se3_exp, so3_exp
 

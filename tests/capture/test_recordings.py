@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from panobench.cameras.row_times import row_times
 from panobench.capture.casting import cast
-from panobench.capture.lenses import lenses, row_times
+from panobench.capture.lenses import lenses
 from panobench.capture.parts import Parts
 from panobench.capture.scene import RayField
 from panobench.capture.sequence import CapturedSequence

@@ -38,6 +38,14 @@ class ExposureOptions(Options):
 
 
 @dataclass(frozen=True)
+class RollingShutterOptions(Options):
+    """Rectifying frames whose rows are read one after another."""
+
+    readout_ms: float = option(0.0, "time from the first row of a lens to its last; 0: global shutter", unit="ms")
+    least_px: float = option(0.05, "least distance a pixel is moved for", unit="px", above=0)
+
+
+@dataclass(frozen=True)
 class TrackingOptions(Options):
     """Alignment of a frame to renders of the map."""
 
@@ -207,6 +215,7 @@ class PanogsConfig(Options):
     rendering: RenderingOptions = field(default_factory=RenderingOptions)
     start: StartOptions = field(default_factory=StartOptions)
     exposure: ExposureOptions = field(default_factory=ExposureOptions)
+    rolling_shutter: RollingShutterOptions = field(default_factory=RollingShutterOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
     relocalisation: RelocalisationOptions = field(default_factory=RelocalisationOptions)
     keyframes: KeyframeOptions = field(default_factory=KeyframeOptions)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.geometry import invert_pose
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.config import PanogsConfig
@@ -25,6 +26,7 @@ from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.place_recognition import Places
 from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.revisits import RevisitFactors
+from panobench.methods.panogs.rolling_shutter import RollingShutter
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
@@ -66,6 +68,7 @@ class PanogsMethod(OnlineMethod):
         self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places, c.relocalisation)
         self.mapper = Mapper(camera, renderer, c, self.trajectory, context.seed)
+        self.shutter = RollingShutter(camera, c.rolling_shutter)
         self.exposure = ExposureMatcher(self.mapper.weights, width, c.exposure)
         self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)
         buffer = self.lag.buffer
@@ -102,10 +105,11 @@ class PanogsMethod(OnlineMethod):
         """Track, judge, record, map, next job."""
         began = time.perf_counter()
         gaussians = self.mapper.map.gaussians
-        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians)
+        frame, tracked = self._track(frame)
         trusted = self.relocaliser.judge(tracked, gaussians, self.trajectory.keyframes)
         if trusted is None:
             self._enter(Phase.LOST)
+            self.shutter.forget()
             self._note(frame, lost=1.0, tracking_s=time.perf_counter() - began)
             return
         self._enter(Phase.TRACKING)
@@ -120,7 +124,21 @@ class PanogsMethod(OnlineMethod):
         self.jobs.run_next(scene_depth)
         self.mapper.optimiser.work_for_a_frame()
         self.tracker.reset(self.trajectory[frame.index], self.tracker.velocity)
+        self.shutter.record(frame.time, self.trajectory[frame.index])
         self._note(frame, mapping_s=time.perf_counter() - began - tracking_s)
+
+    def _track(self, frame: Frame) -> tuple[Frame, Tracked]:
+        """Align the frame to the map; with a rolling shutter, the frame as a global one would have seen it."""
+        gaussians, given, rate = self.mapper.map.gaussians, frame.image, self.shutter.predicted_rate()
+        frame = replace(frame, image=self.shutter.rectified(given, rate)) if self.shutter.enabled else frame
+        before = self.tracker.T_last
+        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians)
+        measured = self.shutter.measured_rate(frame.time, tracked.T_wc)
+        if self.shutter.enabled and self.shutter.differ(measured, rate) and before is not None:
+            frame = replace(frame, image=self.shutter.rectified(given, measured))
+            self.tracker.reset(before, invert_pose(before) @ tracked.T_wc)
+            tracked = self.tracker.track(self.exposure.before(frame.image), gaussians)
+        return frame, tracked
 
     def _at_map_exposure(self, frame: Frame, tracked: Tracked) -> Frame:
         """The frame with its image at the map's exposure, judged by its own render."""
@@ -190,8 +208,13 @@ class PanogsMethod(OnlineMethod):
         if estimate.message:
             (self.context.log if estimate.ok else self.context.warn)(estimate.message)
         waiting, self.waiting = self.waiting, []
-        first = next(f for f in waiting if f.index == estimate.frame_index)
+        rectified = waiting
+        if self.shutter.enabled and len(estimate.T_wc) > 2:
+            rectified, estimate = self._estimate_rectified(waiting, estimate)
+            self.first_depth = estimate
+        first = next(f for f in rectified if f.index == estimate.frame_index)
         view = View(first.index, first.image, np.eye(4))
+        self.shutter.record(first.time, view.T_wc)
         self.mapper.initialise(view, first.time, estimate.depth)
         levels = self.tracker.frame_pyramid(view.image)
         self.graph.add(first.index, levels[self.lag.buffer.fine_scale.level])
@@ -207,6 +230,22 @@ class PanogsMethod(OnlineMethod):
                 if frame.index in estimate.T_wc:
                     self.tracker.expect(estimate.T_wc[frame.index])
                 self._process(frame)
+
+    def _estimate_rectified(self, waiting: list[Frame], estimate: DepthEstimate) -> tuple[list[Frame], DepthEstimate]:
+        """The waiting frames, rectified by the poses of a first estimate as far as they go, and their own estimate."""
+        posed = [f for f in waiting if f.index in estimate.T_wc]
+        T_wc = np.stack([estimate.T_wc[f.index] for f in posed])
+        rates = self.shutter.rates_along(np.array([f.time for f in posed]), T_wc)
+        images = {f.index: self.shutter.rectified(f.image, rate) for f, rate in zip(posed, rates)}
+        frames = [replace(f, image=images[f.index]) for f in posed]
+        assert self.context.make_depth is not None
+        estimator = self.context.make_depth()
+        estimator.start(self.camera, self.context.seed)
+        for frame in frames:
+            found = estimator.add(replace(frame, image=self.exposure.before(frame.image)))
+            if found is not None:
+                return frames, found
+        return frames, estimator.finish() or estimate
 
     # -- the end -------------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,108 @@
+"""Rolling shutter: frames are rectified to the moment of their middle row before anything else sees them.
+
+While the rows of a frame are read, the camera rotates: each row sees the scene from another orientation. With a known
+readout time and angular velocity the image can be rotated back row by row. What the camera travels meanwhile is left
+out; at walking speed that is a few millimetres. (Compare Forssen and Ringaby, "Rectifying rolling shutter video from
+hand-held devices", CVPR 2010.)
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.cameras.row_times import row_times
+from panobench.geometry import so3_log
+from panobench.methods.panogs.config import RollingShutterOptions
+
+Pose = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+class RollingShutter:
+    """Knows the camera's row times and how fast it rotated at the last frames."""
+
+    def __init__(self, camera: Camera, options: RollingShutterOptions) -> None:
+        self.camera, self.readout_s = camera, 1e-3 * options.readout_ms
+        self.least = options.least_px * float(np.sqrt(np.median(camera.solid_angle()[camera.valid_mask()])))
+        self.rays = np.nan_to_num(camera.rays())
+        self.rows = row_times(camera, self.rays) if self.enabled else None
+        self._last: tuple[float, Pose] | None = None  # time and R_wc (3, 3) of the last frame
+        self._rates: list[Pose] = []  # between the last frames, rad/s in the camera's axes
+
+    @property
+    def enabled(self) -> bool:
+        return self.readout_s > 0
+
+    def predicted_rate(self) -> Pose:
+        """Angular velocity (3,) at the next frame, rad/s in the camera's axes, from the rates between the last frames.
+
+        A rate between two frames is that of their middle, so the next frame is one and a half intervals later.
+        """
+        if not self._rates:
+            return np.zeros(3)
+        if len(self._rates) == 1:
+            return self._rates[-1]
+        return self._rates[-1] + 1.5 * (self._rates[-1] - self._rates[-2])
+
+    def measured_rate(self, time: float, T_wc: Pose) -> Pose:
+        """Angular velocity (3,) at a frame that has just been tracked at ``T_wc`` (4, 4)."""
+        if self._last is None:
+            return np.zeros(3)
+        newest = self._between(time, T_wc)
+        return newest + 0.5 * (newest - self._rates[-1]) if self._rates else newest
+
+    def record(self, time: float, T_wc: Pose) -> None:
+        """A frame's final pose (4, 4)."""
+        if self._last is not None:
+            self._rates = [*self._rates[-1:], self._between(time, T_wc)]
+        self._last = (time, T_wc[:3, :3])
+
+    def forget(self) -> None:
+        """The next frame does not follow the last one."""
+        self._last, self._rates = None, []
+
+    def differ(self, rate: Pose, other: Pose) -> bool:
+        """Whether two angular velocities (3,) rectify pixels to plainly different places."""
+        return float(np.linalg.norm(rate - other)) * 0.5 * self.readout_s > self.least
+
+    def rectified(self, image: Image, rate: Pose) -> Image:
+        """The image (H, W, 3) as a global shutter would have seen it at its middle row. rate (3,): rad/s."""
+        if self.rows is None or not self.differ(rate, np.zeros(3)):
+            return image
+        # A direction of the middle is seen by the row that sees it then: one step of fixed-point iteration finds it.
+        seen = self._rotated(self.rays, -self.readout_s * self.rows, rate)
+        seen = self._rotated(self.rays, -self.readout_s * row_times(self.camera, seen), rate)
+        pixels, valid = self.camera.project(seen.reshape(-1, 3))
+        at = (np.where(valid[:, None], pixels, -1.0) - 0.5).reshape(*self.rows.shape, 2).astype(np.float32)
+        if self.camera.kind == "erp":
+            wide = np.concatenate([image[:, -2:], image, image[:, :2]], axis=1)
+            at[..., 0] = np.mod(at[..., 0], self.camera.width) + 2
+            return np.asarray(cv2.remap(wide, at, np.empty(0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+        return np.asarray(cv2.remap(image, at, np.empty(0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+
+    @staticmethod
+    def rates_along(times: NDArray[np.float64], T_wc: Pose) -> Pose:
+        """Angular velocities (N, 3) at ``times`` (N,) along poses (N, 4, 4): the mean of those before and after."""
+        steps = np.swapaxes(T_wc[:-1, :3, :3], 1, 2) @ T_wc[1:, :3, :3]
+        between = so3_log(steps) / np.maximum(np.diff(times), 1e-6)[:, None]
+        middle = 0.5 * (between[1:] + between[:-1])
+        first, last = 1.5 * between[:1] - 0.5 * between[1:2], 1.5 * between[-1:] - 0.5 * between[-2:-1]
+        return np.concatenate([first, middle, last]) if len(between) > 1 else np.repeat(between, 2, axis=0)
+
+    def _between(self, time: float, T_wc: Pose) -> Pose:
+        assert self._last is not None
+        before, R = self._last
+        return so3_log(R.T @ T_wc[:3, :3]) / max(abs(time - before), 1e-6) * np.sign(time - before or 1.0)
+
+    @staticmethod
+    def _rotated(rays: Pose, seconds: Pose, rate: Pose) -> Pose:
+        """Rays (H, W, 3), each rotated by ``rate`` (3,) for its own time (H, W) (Rodrigues' formula)."""
+        speed = float(np.linalg.norm(rate))
+        if speed == 0:
+            return rays
+        axis, angle = rate / speed, (speed * seconds)[..., None]
+        along = (rays @ axis)[..., None] * axis
+        return np.asarray(rays * np.cos(angle) + np.cross(axis, rays) * np.sin(angle) + along * (1 - np.cos(angle)))

@@ -1,0 +1,71 @@
+"""Rolling shutter: images are rotated back row by row, at rates taken from the poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from panobench.cameras.base import Camera
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.pinhole import PinholeCamera
+from panobench.cameras.row_times import row_times
+from panobench.geometry import make_pose, so3_exp
+from panobench.methods.panogs.config import RollingShutterOptions
+from panobench.methods.panogs.rolling_shutter import RollingShutter
+
+READOUT = 0.02
+OPTIONS = RollingShutterOptions(readout_ms=1e3 * READOUT)
+
+
+def world(d: np.ndarray) -> np.ndarray:
+    """A smooth picture of the surroundings: colour by direction (..., 3)."""
+    x, y, z = np.moveaxis(d, -1, 0)
+    waves = [np.sin(7 * x + 3 * y), np.cos(6 * y - 4 * z), np.sin(5 * z + 6 * x * y)]
+    return np.stack([128 + 110 * w for w in waves], axis=-1)
+
+
+def seen(camera: Camera, rate: np.ndarray, readout: float = READOUT) -> np.ndarray:
+    """The camera's image (H, W, 3) while it rotates at ``rate`` (3,) rad/s."""
+    rays = np.nan_to_num(camera.rays())
+    R = so3_exp(rate * (readout * row_times(camera, rays))[..., None])
+    return np.clip(world(np.einsum("hwij,hwj->hwi", R, rays)), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("camera", [ErpCamera(256, 128), PinholeCamera.from_fov(160, 120, 80)])
+@pytest.mark.parametrize("rate", [(0.0, 3.5, 0.0), (2.0, -1.0, 1.5)])
+def test_a_rotating_camera_sees_what_a_still_one_sees(camera: Camera, rate: tuple[float, float, float]) -> None:
+    w = np.array(rate)
+    image, still = seen(camera, w), seen(camera, np.zeros(3))
+    inner = np.s_[12:-12, 12:-12]  # at a pinhole's rim there is nothing to take
+    before = np.abs(image.astype(float) - still)[inner].mean()
+    after = np.abs(RollingShutter(camera, OPTIONS).rectified(image, w).astype(float) - still)[inner].mean()
+    assert before > 1.5
+    assert after < 0.15 * before + 0.5  # half a level is rounding
+
+
+def test_a_global_shutter_and_a_still_camera_leave_the_image_alone() -> None:
+    camera = ErpCamera(64, 32)
+    image = seen(camera, np.zeros(3))
+    assert RollingShutter(camera, RollingShutterOptions()).rectified(image, np.array([0, 9.0, 0])) is image
+    assert RollingShutter(camera, OPTIONS).rectified(image, np.zeros(3)) is image
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_rates_follow_an_accelerating_camera_in_either_order(direction: int) -> None:
+    """Yaw 0.5 a t^2: the rate at t is a t, tracked forwards or backwards."""
+    a, times = 4.0, np.arange(6)[::direction] / 15
+    poses = [make_pose(so3_exp(np.array([0.0, 0.5 * a * t * t, 0.0])), np.zeros(3)) for t in times]
+    shutter = RollingShutter(ErpCamera(64, 32), OPTIONS)
+    for t, T in list(zip(times, poses))[:-1]:
+        shutter.record(float(t), T)
+    np.testing.assert_allclose(shutter.predicted_rate(), [0, a * times[-1], 0], atol=1e-6)
+    np.testing.assert_allclose(shutter.measured_rate(float(times[-1]), poses[-1]), [0, a * times[-1], 0], atol=1e-6)
+    shutter.forget()
+    assert not shutter.predicted_rate().any()
+
+
+def test_rates_along_poses_are_central() -> None:
+    t = np.arange(5) / 10
+    T = np.stack([make_pose(so3_exp(np.array([0.0, 0.0, 2.0 * s * s])), np.zeros(3)) for s in t])
+    np.testing.assert_allclose(RollingShutter.rates_along(t, T)[:, 2], 4.0 * t, atol=1e-6)
+    assert RollingShutter.rates_along(t[:2], T[:2]).shape == (2, 3)
