@@ -48,24 +48,42 @@ def evaluate(data: MetricInput, status: RunStatus, message: str, log: Callable[[
     return scores
 
 
+@dataclass(frozen=True)
+class BrokenLimit:
+    """A limit of the protocol that a run broke. short: in a few words, for tables."""
+
+    short: str
+    message: str
+
+
 def judge(
     metrics: Mapping[str, float | None], min_tracked: float = MIN_TRACKED, failed_ate_m: float = FAILED_ATE_M
 ) -> tuple[RunStatus, str]:
-    """Apply the protocol's limits on coverage and error: OK, or LOST with the reason.
+    """Apply the protocol's limits on coverage and error: OK, or LOST with the reason."""
+    broken = broken_limit(metrics, min_tracked, failed_ate_m)
+    return (RunStatus.OK, "") if broken is None else (RunStatus.LOST, broken.message)
+
+
+def broken_limit(
+    metrics: Mapping[str, float | None], min_tracked: float = MIN_TRACKED, failed_ate_m: float = FAILED_ATE_M
+) -> BrokenLimit | None:
+    """The first limit on coverage or error that the metrics break.
 
     A method that says its scale is metric is held to its error without scale alignment as well: Sim(3) shrinks a
     trajectory that diverged by kilometres to a point near the truth's centre.
     """
-    tracked, ate = metrics.get("tracked") or 0.0, metrics.get("ate_rmse_m")
+    tracked, ate = metrics.get("tracked"), metrics.get("ate_rmse_m")
     ate_se3 = metrics.get("ate_se3_rmse_m")  # measured for metric methods only
-    if tracked < min_tracked:
-        return RunStatus.LOST, f"tracked {tracked:.1%} of the frames, the protocol asks for {min_tracked:.0%}"
+    if tracked is not None and tracked < min_tracked:
+        return BrokenLimit(
+            f"tracked {tracked:.0%}", f"tracked {tracked:.1%} of the frames, the protocol asks for {min_tracked:.0%}"
+        )
     if ate is not None and ate > failed_ate_m:
-        return RunStatus.LOST, f"ATE {ate:.2f} m is over the protocol's {failed_ate_m:g} m"
+        return BrokenLimit(f"ATE over {failed_ate_m:g} m", f"ATE {ate:.2f} m is over the protocol's {failed_ate_m:g} m")
     if ate_se3 is not None and ate_se3 > failed_ate_m:
         reason = f"ATE without scale alignment {ate_se3:.2f} m is over the protocol's {failed_ate_m:g} m"
-        return RunStatus.LOST, f"{reason}; the method says its scale is metric"
-    return RunStatus.OK, ""
+        return BrokenLimit(f"metric ATE over {failed_ate_m:g} m", f"{reason}; the method says its scale is metric")
+    return None
 
 
 def _measure(

@@ -39,10 +39,6 @@ class Summary:
     count: int
     failed: int
 
-    @property
-    def iqr(self) -> float:
-        return self.high - self.low
-
 
 def summarise(values: Sequence[float | None], *, higher_is_better: bool = False, seed: int = 0) -> Summary | None:
     """Summarise repeats (None: a failure). The median is infinite if failures decide it. None without repeats."""

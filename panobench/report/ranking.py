@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from panobench.bench.evaluate import broken_limit
 from panobench.bench.statistics import RANKING_RULE as STATISTICS_RULE
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED
 from panobench.report.model import Run
@@ -27,13 +28,8 @@ def failure(run: Run) -> str | None:
         return run.status
     if "+" in run.protocol:
         return None
-    tracked = run.number("tracked")
-    if tracked is not None and tracked < MIN_TRACKED:
-        return f"tracked {tracked:.0%}"
-    ate = run.number("ate_rmse_m")
-    if ate is not None and ate > FAILED_ATE_M:
-        return f"ATE over {FAILED_ATE_M:g} m"
-    return None
+    broken = broken_limit(run.record.metrics)
+    return broken.short if broken is not None else None
 
 
 def ranks(texts: Sequence[str | None], values: Sequence[float | None], better: str) -> list[int | None]:
