@@ -12,7 +12,6 @@ from panobench.geometry import invert_pose, se3_exp, se3_log
 from panobench.photometric.align import align
 from panobench.photometric.pyramid import halve, luma_of_frame, pyramid
 from panobench.photometric.reference import DEFAULT, AlignOptions, make_reference, reject_moving
-from panobench.photometric.warp import atan2_fast
 
 RADIUS = 2.0
 WAVES = np.random.default_rng(3).normal(size=(24, 3)) * 6.0
@@ -113,12 +112,6 @@ def test_halving_averages_and_skips_unknown() -> None:
     assert halve(image)[0, 0] == pytest.approx((1 + 4 + 5) / 3)
     image[0, 1] = np.nan
     assert np.isnan(halve(image)[0, 0])
-
-
-def test_atan2_is_good_to_a_thousandth_of_a_pixel() -> None:
-    angles = np.linspace(-np.pi + 1e-6, np.pi - 1e-6, 5001)
-    found = [atan2_fast(np.float32(np.sin(a)), np.float32(np.cos(a))) for a in angles]
-    assert np.abs(np.array(found) - angles).max() < 1e-6
 
 
 def test_other_latitude_weights_than_the_cosine_for_the_ablation() -> None:
