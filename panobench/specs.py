@@ -57,12 +57,17 @@ class Spec:
 
 
 def load_object(path: str, what: str) -> Any:
-    """Import "module:Name" or "module:Class.name". Raises UnavailableError naming ``what`` when an import fails."""
+    """Import "module:Name" or "module:Class.name". Raises UnavailableError naming ``what`` when an import fails,
+    or when its source does not compile.
+    """
     module, _, attribute = path.partition(":")
     try:
         return attrgetter(attribute)(importlib.import_module(module))
     except ModuleNotFoundError as error:
         raise UnavailableError(f"{what} needs the Python package '{error.name}'") from error
+    except SyntaxError as error:
+        place = f"{error.filename}:{error.lineno}"
+        raise UnavailableError(f"{what} cannot be loaded: {type(error).__name__} at {place}: {error.msg}") from error
 
 
 @dataclass(frozen=True)

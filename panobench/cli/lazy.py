@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import warnings
+from collections.abc import Iterable
 from typing import Any
 
 import typer
@@ -25,8 +26,30 @@ def load_command(name: str) -> Any:
         app.command()(getattr(module, name))
     command = typer.main.get_command(app)
     command.name = name
+    tidy_help(command)
     command.short_help = summary
     return command
+
+
+def tidy_help(command: Any) -> None:
+    """Leave the options that install completion to `panobench` itself, and show no type for what is a switch."""
+    listed = command.get_params
+
+    def get_params(ctx: Any) -> list[Any]:
+        return without_types(p for p in listed(ctx) if p.name not in ("install_completion", "show_completion"))
+
+    command.get_params = get_params
+    for inner in getattr(command, "commands", {}).values():
+        tidy_help(inner)
+
+
+def without_types(parameters: Iterable[Any]) -> list[Any]:
+    """The parameters; help shows no type for those that are switches."""
+    found = list(parameters)
+    for parameter in found:
+        if getattr(parameter, "is_bool_flag", False):
+            parameter.metavar = ""
+    return found
 
 
 class LazyGroup(TyperGroup):
@@ -34,6 +57,9 @@ class LazyGroup(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(COMMANDS)
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        return without_types(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """A stand-in that knows the command's line of help, which is enough for listing and completing names."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import sys
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
@@ -158,6 +160,18 @@ def _text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, default=str)
 
 
+def _entry_lines(heading: str, text: str) -> list[str]:
+    """A name and its text, wrapped between words below where the text began; one line for grep and other programs."""
+    width = shutil.get_terminal_size().columns
+    for_people = sys.stdout.isatty() or "COLUMNS" in os.environ
+    if not for_people or width - len(heading) < 30:  # as for options
+        return [heading + text]
+    indent = " " * len(heading)
+    return textwrap.wrap(
+        text, width, initial_indent=heading, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+
+
 def _print(listing: dict[str, list[dict[str, Any]]], known: Registry) -> None:
     for kind, entries in listing.items():
         print(f"{KINDS[kind]}:" if entries else f"{KINDS[kind]}: none")
@@ -165,6 +179,6 @@ def _print(listing: dict[str, list[dict[str, Any]]], known: Registry) -> None:
         for e in entries:
             origin = "" if e["origin"] == "built-in" else f"  [{e['origin']}]"
             state = f"  (cannot run here: {e['unavailable']})" if e["unavailable"] else ""
-            print(f"  {e['name']:{width}}  {e['summary']}{origin}{state}")
+            print("\n".join(_entry_lines(f"  {e['name']:{width}}  ", f"{e['summary']}{origin}{state}")))
     for plugin, reason in known.failures.items():
         print(f"skipped plugin {plugin}: {reason}")

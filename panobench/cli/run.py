@@ -17,7 +17,7 @@ from panobench.cli.run_options import with_run_options
 from panobench.errors import UsageError
 
 if TYPE_CHECKING:
-    from panobench.bench.record import RunRecord, VerdictRecord
+    from panobench.bench.record import FramesRecord, RunRecord, VerdictRecord
 
 app = typer.Typer()
 EXIT_NOT_OK, EXIT_NOT_TRUSTED, EXIT_INTERRUPTED = 1, 3, 130
@@ -114,10 +114,19 @@ def verdict_lines(verdict: VerdictRecord) -> list[str]:
     return lines
 
 
+def tracked_text(frames: FramesRecord) -> str:
+    """How many frames have a pose, of how many; with those planned where the run ended before them."""
+    planned = f"{frames.planned} planned" if frames.planned else "the frames"
+    if frames.given == 0:
+        return f"none of {planned}: it ended before the first was done"
+    left = f", {planned}" if frames.planned and frames.planned > frames.given else ""
+    return f"{frames.tracked} of {frames.given} frames{left}"
+
+
 def summary(folder: Path, record: RunRecord) -> str:
     """The most important numbers in a few lines; run.json has everything."""
     frames = record.frames
-    lines = [f"{record.status}  {folder}", f"{'tracked':18}{frames.tracked} of {frames.given} frames"]
+    lines = [f"{record.status}  {folder}", f"{'tracked':18}{tracked_text(frames)}"]
     for label, key, factor, form in _LINES:
         value = record.number(key)
         if value is not None:

@@ -5,7 +5,9 @@ Use ``check_spec(spec)`` for one spec, and ``assert_conforms(spec)`` in a plugin
 
 from __future__ import annotations
 
+import importlib.metadata
 import re
+import sysconfig
 import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -13,10 +15,12 @@ from pathlib import Path
 from typing import Literal
 
 from panobench.errors import PanobenchError
+from panobench.plugins import ENTRY_POINT_GROUP
 from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, Spec
 
 Outcome = Literal["pass", "fail", "skip"]
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
+_PACKAGE = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
@@ -69,10 +73,33 @@ def run_checks(label: str, checks: Checks) -> list[Check]:
         except Failed as failed:
             found.append(Check(label, name, "fail", str(failed)))
         except Exception as error:
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            place = f"{Path(last.filename).name}:{last.lineno}"
-            found.append(Check(label, name, "fail", f"{type(error).__name__} at {place}: {error}"))
+            found.append(Check(label, name, "fail", f"{type(error).__name__} at {blamed_place(error)}: {error}"))
     return found
+
+
+def blamed_place(error: BaseException) -> str:
+    """ "file.py:12": the innermost place that is neither an installed library's nor this package's.
+
+    A plugin that hands numpy the wrong shape is to be mended in the plugin. The innermost place of all stands where the
+    error passed through no other code; a plugin that is installed as a library is recognised by its entry point.
+    """
+    calls = traceback.extract_tb(error.__traceback__)
+    own = [call for call in calls if not _is_library(Path(call.filename))]
+    last = (own or calls)[-1]
+    return f"{Path(last.filename).name}:{last.lineno}"
+
+
+def _is_library(path: Path) -> bool:
+    """Whether the file belongs to Python, to this package, or to a distribution that registers no plugin."""
+    if path.is_relative_to(_PACKAGE) or path.name.startswith("<"):
+        return True
+    folders = [Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")]
+    within = [folder for folder in folders if path.is_relative_to(folder)]
+    if not within:
+        return False
+    top = path.relative_to(max(within, key=lambda folder: len(folder.parts))).parts[0].removesuffix(".py")
+    plugins = importlib.metadata.entry_points(group=ENTRY_POINT_GROUP)
+    return top not in {entry.value.split(":")[0].split(".")[0] for entry in plugins}
 
 
 def check_spec(spec: Spec, options: Options | None = None) -> list[Check]:

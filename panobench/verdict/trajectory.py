@@ -27,7 +27,7 @@ def coverage(tracked: int, given: int) -> Evidence:
     if share < MIN_TRACKED:
         trust = min(trust, 0.04)
     return Evidence(
-        "coverage", trust, f"{tracked} of {given} frames have a pose",
+        "coverage", trust, f"{tracked} of {given} frames have a pose" if given else "it ended before its first frame",
         "look at the frames without a pose in frames.csv; slower motion, more light or a mask may help",
     )  # fmt: skip
 

@@ -46,3 +46,21 @@ def test_columns_are_aligned_and_long_help_is_wrapped() -> None:
         "  two.b  none    the second; text or none",
     ]
     assert max(map(len, _option_lines(OPTIONS, 20))) > 50, "too narrow for columns"
+
+
+def test_entries_wrap_between_words_at_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert panobench(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    start = next(i for i, line in enumerate(lines) if line.startswith("  disturbed"))
+    assert lines[start + 1].startswith(" " * 20), "the rest stands below the summary, not below the name"
+
+
+@pytest.mark.parametrize("command", [["run"], ["report"], ["plugin", "check"], ["doctor"]])
+def test_help_shows_neither_types_of_switches_nor_completion(command, capsys: pytest.CaptureFixture[str]) -> None:
+    panobench([*command, "--help"])
+    shown = capsys.readouterr().out
+    assert "--help" in shown
+    assert "<bool>" not in shown
+    assert "--install-completion" not in shown

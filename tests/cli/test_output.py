@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import cv2
 import pytest
+from rich.console import Console
 
 from panobench.cli.main import run as panobench
+from panobench.cli.progress import ProgressBar
 from panobench.testing import TinySequence
 
 
@@ -89,3 +93,17 @@ def test_names_that_are_not_utf8_run(scene: Path, tmp_path: Path, capsys: pytest
 def test_a_missing_file_with_such_a_name_is_one_line(capfd: pytest.CaptureFixture[str]) -> None:
     assert panobench(["view", os.fsdecode(b"/nowhere/Stra\xdfe.mp4")]) == 2
     assert capfd.readouterr().err == "panobench: /nowhere/Stra\\udcdfe.mp4: no such file or folder\n"
+
+
+def test_progress_moves_on_while_a_run_finishes() -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=150)
+    with ProgressBar("sparse on room1", console) as bar:
+        bar.started(2, None)
+        bar.stage("tracking")
+        bar.frame(0, 0.0, None, 0.5)
+        bar.stage("finishing")
+        time.sleep(1.3)
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "2.0 frames/s" in shown
+    assert "finishing" in shown
+    assert "1 s" in shown.split("finishing", 1)[1]

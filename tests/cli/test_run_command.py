@@ -13,7 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from panobench.bench.record import FramesRecord
 from panobench.cli.main import run as panobench
+from panobench.cli.run import tracked_text
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
 
@@ -183,3 +185,9 @@ def test_list_shows_origin_and_whether_it_can_run(capsys: pytest.CaptureFixture[
     assert "cannot run here: needs the Python package(s) no_such_package" in printed
     assert panobench(["list", "method", "fake-options", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["presets"] == {"quick": {"features": 10, "inner": {"gain": 0.1}}}
+
+
+def test_a_run_that_ended_at_once_does_not_count_to_zero() -> None:
+    assert tracked_text(FramesRecord(given=0, planned=40)) == "none of 40 planned: it ended before the first was done"
+    assert tracked_text(FramesRecord(given=9, planned=40, tracked=8)) == "8 of 9 frames, 40 planned"
+    assert tracked_text(FramesRecord(given=40, planned=40, tracked=40)) == "40 of 40 frames"

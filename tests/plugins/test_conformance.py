@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 from panobench import CameraSpec, Estimate, MethodSpec, OnlineMethod, Trajectory
+from panobench.errors import UnavailableError
+from panobench.specs import load_object
 from panobench.testing import FakeCamera, check_spec
+from panobench.testing.conformance import run_checks
 
 
 class Good(OnlineMethod):
@@ -162,3 +165,19 @@ def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     check_spec(spec("Good"))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_failure_in_a_library_is_blamed_on_the_caller() -> None:
+    def check() -> None:
+        np.linalg.inv(np.zeros((2, 2)))
+
+    (found,) = run_checks("a", [("b", check)])
+    assert found.outcome == "fail"
+    assert "test_conformance.py:" in found.message
+
+
+def test_a_plugin_that_does_not_compile_is_named_in_one_line(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "with_a_slip.py").write_text("def f(:\n    pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UnavailableError, match=r"method 'slip' cannot be loaded: SyntaxError at .*with_a_slip.py:1: "):
+        load_object("with_a_slip:F", "method 'slip'")
