@@ -221,16 +221,16 @@ class Renderer:
         *,
         count_touched: bool = False,
         sloped: bool = False,
-        weigh: bool = False,
-        hidden: NDArray[np.bool_] | None = None,
+        sum_weights: bool = False,
+        culled: NDArray[np.bool_] | None = None,
     ) -> Render:
         """Render from camera-to-world pose ``T_wc`` (4, 4).
 
-        count_touched, weigh: fill ``touched`` and ``weights``.
-        hidden (N,): Gaussians that are left out, because they are known to lie behind others.
-        sloped: depth follows each Gaussian's own surface across its footprint instead of being its centre's
-        everywhere, which is biased to the near side where footprints overlap on an oblique wall (the mean of
-        distance given direction; compare Zhang et al., "RaDe-GS", 2024). Such depth has no backward pass.
+        count_touched, sum_weights: fill ``touched`` and ``weights``.
+        culled (N,): Gaussians that are left out, because they are known to be occluded.
+        sloped: across a footprint the depth follows the Gaussian's own surface (its mean distance given the direction;
+        compare Zhang et al., "RaDe-GS", 2024), instead of being that of its centre, which is biased to the near side
+        where footprints overlap on an oblique wall. Such depth has no backward pass.
         """
         s, v = self._settings, self.view
         T_cw = invert_pose(T_wc)
@@ -243,8 +243,8 @@ class Renderer:
             R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, s.low_pass, s.near,
             sloped, footprints, rows, cols, key, s.threads,
         )  # fmt: skip
-        if hidden is not None:
-            key[hidden] = -1.0
+        if culled is not None:
+            key[culled] = -1.0
         order = binning.radix_order(key)
         footprints, rows, cols = binning.gather(order, footprints, rows, cols)
         drawn = np.zeros(v.tiles_x * v.tiles_y, np.bool_)
@@ -257,7 +257,7 @@ class Renderer:
         depth, opacity = new((v.height, v.width), np.float32), new((v.height, v.width), np.float32)
         done = np.zeros(v.tiles_x * v.tiles_y, np.int32)
         counts = np.zeros((s.threads, len(order) if count_touched else 0), np.int32)
-        sums = np.zeros((s.threads, len(order) if weigh else 0), np.float32)
+        sums = np.zeros((s.threads, len(order) if sum_weights else 0), np.float32)
         blend.blend_forward(
             footprints, starts, entries, spans, v.rays, s.wrap, s.stop, v.tiles, s.threads,
             planes, depth, opacity, done, counts, sums,
@@ -266,7 +266,7 @@ class Renderer:
         if count_touched:
             touched = np.zeros(n, np.int32)
             touched[order] = counts.sum(axis=0)
-        if weigh:
+        if sum_weights:
             weights = np.zeros(n, np.float32)
             weights[order] = sums.sum(axis=0)
         tape = _Tape(s, gaussians, R_cw, t_cw, footprints, starts, entries, spans, done, sloped)

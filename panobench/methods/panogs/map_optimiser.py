@@ -115,7 +115,7 @@ class MapOptimiser:
         o, z = self.options, self.scene_depth
         hidden = view.culling.hidden(self.map.ids) if o.culling_px else None
         render = self.renderer.forward(
-            self.map.gaussians, view.T_wc, hidden=hidden, weigh=o.culling_px > 0 and hidden is None
+            self.map.gaussians, view.T_wc, culled=hidden, sum_weights=o.culling_px > 0 and hidden is None
         )
         self.update_culling(view, render)
         # Where there are no Gaussians yet, the loss would make the neighbours spread.

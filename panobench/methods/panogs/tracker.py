@@ -117,7 +117,7 @@ class Tracker:
         for k in range(max(self.options.renders, 1)):
             known = k > 0 or self.reference is not None
             weigh = self.config.mapping.culling_px > 0
-            render = self.renderer.forward(gaussians, T, count_touched=True, weigh=weigh, sloped=True)
+            render = self.renderer.forward(gaussians, T, count_touched=True, sum_weights=weigh, sloped=True)
             self.reference, self.T_reference = self.make_reference(render, len(frame)), T
             a = align(self.reference, frame, np.eye(4), self.align_options, coarsest=1 if known else None)
             T = renormalise(T @ invert_pose(a.T_fr))

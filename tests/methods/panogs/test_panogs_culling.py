@@ -39,7 +39,7 @@ def view() -> View:
 
 def test_weights_are_the_pixels_each_gaussian_makes_up() -> None:
     m = mapper()
-    out = m.renderer.forward(m.map.gaussians, np.eye(4), weigh=True)
+    out = m.renderer.forward(m.map.gaussians, np.eye(4), sum_weights=True)
     assert out.weights is not None
     np.testing.assert_allclose(out.weights.sum(), out.opacity.sum(), rtol=1e-4)
     ones = np.ones((3, 64, 128), np.float32)
@@ -56,7 +56,7 @@ def test_steps_after_the_first_leave_out_what_is_behind_and_see_the_same() -> No
     assert not hidden[:1500].any()
     assert hidden[1500:].mean() > 0.9
     whole = m.renderer.forward(m.map.gaussians, v.T_wc)
-    part = m.renderer.forward(m.map.gaussians, v.T_wc, hidden=hidden)
+    part = m.renderer.forward(m.map.gaussians, v.T_wc, culled=hidden)
     assert len(part.order) == len(whole.order) - np.count_nonzero(hidden)
     np.testing.assert_allclose(part.colour, whole.colour, atol=2e-3)
     before = m.map.gaussians.colours[hidden].copy()
