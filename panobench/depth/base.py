@@ -1,4 +1,4 @@
-"""The depth-estimator contract: frames go in until it has a depth of the first one it wants to start from."""
+"""The contract of depth estimators: they take frames until they can give the depth of one of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 class DepthEstimator(ABC):
     """Estimates the radial depth of one of the first frames.
 
-    ``argument`` is what followed the colon in `--depth name:ARGUMENT`.
+    ``argument`` is what follows the colon in `--depth name:ARGUMENT`.
     """
 
     def __init__(self, argument: str = "") -> None:
@@ -22,12 +22,12 @@ class DepthEstimator(ABC):
 
     @abstractmethod
     def start(self, camera: Camera, seed: int = 0) -> None:
-        """Called once before the first frame."""
+        """Called once, before the first frame."""
 
     @abstractmethod
     def add(self, frame: Frame) -> DepthEstimate | None:
-        """Offer the next frame; None means "more frames, please"."""
+        """Take the next frame. Returns None if more frames are needed."""
 
     def finish(self) -> DepthEstimate | None:
-        """No more frames will come: the best it can say, or None if it never saw one."""
+        """Called when there are no more frames: the best estimate so far, or None without any frame."""
         return None

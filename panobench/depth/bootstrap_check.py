@@ -1,4 +1,4 @@
-"""Whether a first depth is to be believed, judged by the images alone."""
+"""Checks of a first depth against the images alone."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from panobench.photometric.align import align, mean_cost
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import AlignOptions
 
-#: The same for telling two solutions apart.
+#: Residual from which the cost is linear when two solutions are compared.
 FINE_HUBER = 0.02
-#: Of the cost that a turn without any depth leaves, what depth may leave.
+#: The cost with depth may be at most this share of the cost of a pure rotation, which needs no depth.
 EXPLAINED_MAX = 0.7
-#: Share of what early and late frames both see clearly where they must find the same depth, to AGREE in log depth.
+#: Early and late frames must find the same depth, to AGREE in its logarithm, in this share of the confident pixels.
 AGREEMENT_MIN, AGREE = 0.82, 0.15
-#: Shells of the two sweeps for it.
+#: Depth hypotheses of the two sweeps that find out.
 CHECK_SHELLS = 40
-#: Ratio of the 90th to the 10th percentile of depth.
+#: Least ratio of the 90th to the 10th percentile of depth.
 SPREAD_MIN = 1.05
-#: Share of the view that may lie at an end of the range.
+#: Largest share of the view whose depth may lie at an end of the search range.
 PEGGED_MAX = 0.4
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """unexplained: cost with depth over cost of the best turn on the spot. agreement: share of what the early and the
-    late half of the frames both see clearly where they find the same depth. spread: p90 / p10 of depth. pegged:
-    share at the range's ends.
+class SolutionCheck:
+    """unexplained: photometric cost with depth over that of the best pure rotation. agreement: share of the confident
+    pixels in which the early and the late half of the frames find the same depth. spread: 90th over 10th percentile
+    of depth. pegged: share of the view whose depth lies at an end of the search range.
     """
 
     unexplained: float
@@ -38,11 +38,10 @@ class Verdict:
     pegged: float
 
     def problem(self) -> str | None:
-        """What is wrong, or None."""
+        """What is wrong, in one line, or None."""
         if not self.unexplained < EXPLAINED_MAX:
-            return (
-                f"its depth explains the images hardly better than a turn ({100 * self.unexplained:.0f}% of the cost)"
-            )
+            cost = f"{100 * self.unexplained:.0f}% of the cost"
+            return f"its depth explains the images hardly better than a rotation ({cost})"
         if not self.agreement > AGREEMENT_MIN:
             return f"early and late frames agree on only {100 * self.agreement:.0f}% of its depth"
         if not self.spread > SPREAD_MIN:
@@ -52,21 +51,21 @@ class Verdict:
         return None
 
 
-def judge(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> Verdict:
-    """pyramids: of the reference and the frames after it, as for ``Solver.solve``."""
+def check_solution(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> SolutionCheck:
+    """Check a solution. ``pyramids`` are those of the reference and the frames after it, as for ``Solver.solve``."""
     valid = solver.fine.valid
     depth = solution.depth[valid]
     low, high = np.percentile(depth, [10, 90])
     pegged = float(
         ((depth < 1.1 * solver.options.near * MEDIAN_DEPTH) | (depth > 0.9 * solver.options.far * MEDIAN_DEPTH)).mean()
     )
-    return Verdict(
+    return SolutionCheck(
         _unexplained(solver, pyramids, solution), _agreement(solver, pyramids, solution), float(high / low), pegged
     )
 
 
 def _unexplained(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:
-    """At the coarse size, over the three frames used that are furthest away."""
+    """Measured at the coarse size, over the three used frames that are farthest from the reference."""
     scale = solver.coarse
     small = resize_down(solution.depth, scale.valid.shape)
     reference = solver.reference(pyramids[0], small, scale)
@@ -76,14 +75,14 @@ def _unexplained(solver: Solver, pyramids: list[list[F32]], solution: Solution) 
     for k in solution.used[np.argsort(away)[-3:]]:
         frame, T = pyramids[k][scale.level :], solution.T_fr[k]
         with_depth += _cost(solver, reference, frame, T, solver.align_options)
-        on_the_spot = T.copy()
-        on_the_spot[:3, 3] = 0
-        without += _cost(solver, reference, frame, on_the_spot, rotation_only)
+        T_rotation = T.copy()
+        T_rotation[:3, 3] = 0
+        without += _cost(solver, reference, frame, T_rotation, rotation_only)
     return with_depth / max(without, 1e-9)
 
 
 def photometric_cost(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:
-    """Mean robust cost at the fine size over the frames used: comparable between solutions of the same frames."""
+    """Mean robust cost at the fine size over the used frames. It compares solutions of the same frames."""
     scale = solver.fine
     reference = solver.reference(pyramids[0], solution.depth, scale)
     costs = []
@@ -99,7 +98,7 @@ def _cost(solver: Solver, reference, frame: list[F32], T_fr: Pose, options: Alig
 
 
 def _agreement(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:
-    """At the coarse size, of the surer half of what both see; 1 where there are too few frames to ask."""
+    """Measured at the coarse size, in the more confident half of what both see. 1 with too few frames to tell."""
     used, scale = solution.used, solver.coarse
     if len(used) < 4:
         return 1.0
@@ -107,18 +106,18 @@ def _agreement(solver: Solver, pyramids: list[list[F32]], solution: Solution) ->
     low, high = np.percentile(solution.depth[solver.fine.valid], [0.5, 99.5]) / MEDIAN_DEPTH
     between = (0.7 * float(low), 1.4 * float(high))
     halves = np.array_split(used, 2)
-    (early, sure_early), (late, sure_late) = (
+    (early, confidence_early), (late, confidence_late) = (
         solver.sweep(pyramids, solution.T_fr, half, between, scale, whole) for half in halves
     )
     both = np.logical_and(*(solver.seen(pyramids, solution.T_fr, half, early, scale) for half in halves))
     if not both.any():
         return 0.0
-    sure = np.minimum(sure_early, sure_late)
-    both &= sure >= np.median(sure[both])
+    confidence = np.minimum(confidence_early, confidence_late)
+    both &= confidence >= np.median(confidence[both])
     return float((np.abs(np.log(early / late)) < AGREE)[both].mean())
 
 
 def resize_down(depth: F32, shape: tuple[int, ...]) -> F32:
-    """Every n-th pixel of depth (H, W)."""
+    """Depth (H, W) reduced to ``shape`` by taking every n-th pixel."""
     step = depth.shape[1] // shape[1]
     return np.ascontiguousarray(depth[step // 2 :: step, step // 2 :: step][: shape[0], : shape[1]])

@@ -1,5 +1,7 @@
-"""Depth of a reference frame and the poses of the frames after it, from rough poses: sweeps, alignments and bundle
-adjustment in turn, first small, then at a finer width. Each improves the other; the scale is free.
+"""Joint depth of a reference frame and poses of the frames after it, from initial poses.
+
+Plane sweeps, direct alignment and bundle adjustment alternate, first at a coarse, then at a finer width. The scale is
+free.
 """
 
 from __future__ import annotations
@@ -20,21 +22,21 @@ from panobench.photometric.sweep import reprojection_error
 from panobench.photometric.warp import camera_code
 
 Pose = NDArray[np.float64]
-#: The scale that is chosen: median radial depth of the reference frame.
+#: The scale is chosen so that the reference frame has this median radial depth.
 MEDIAN_DEPTH = 2.0
-#: The first depth is found once: more shells than later sweeps have, and a half of the frames is believed wherever it
-#: agrees with itself at all better than the whole.
+#: The first depth is found only once, so its sweep has more depth hypotheses than later ones. Where one half of the
+#: frames matches better than all of them, it decides (the other half may be occluded).
 SWEEP = SweepOptions(shells=64, half_ratio=1.0, half_margin=0.002)
-#: Residual (of 1) from which costs of different alignments grow linearly when they are compared.
+#: Residual (images in 0..1) from which the cost is linear when alignments are compared.
 HUBER = 0.05
-#: Least share of the reference's view that a frame must see again.
+#: Least share of the reference's view that a frame must see to be used.
 OVERLAP_MIN = 0.35
 
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """coarse_width, fine_width: the two working widths. frames: most used for the sweep. rounds, fine_rounds: sweeps
-    at either width. near, far: sweep range over the median depth.
+    """coarse_width, fine_width: the two working widths in pixels. frames: most frames used in a sweep. rounds,
+    fine_rounds: sweeps at each width. near, far: ends of the sweep's range, in median depths.
     """
 
     coarse_width: int = 256
@@ -49,8 +51,8 @@ class SolveOptions:
 
 @dataclass
 class Solution:
-    """depth, confidence (H, W) at the fine working width, NaN-free; T_fr: pose of every frame from the reference, which
-    is the first; used: the frames that were swept.
+    """depth, confidence: (H, W) at the fine working width, without NaN. T_fr: for each frame, the pose that takes
+    points from the reference (the first frame) to it. used: the frames that took part in the sweep.
     """
 
     depth: F32
@@ -60,7 +62,7 @@ class Solution:
 
 
 def spread_over_path(T_fr: list[Pose], most: int) -> NDArray[np.intp]:
-    """At most ``most`` frames, not the first, evenly spaced along the path: frames that only turn show no depth."""
+    """At most ``most`` frames after the first, evenly spaced along the path: rotating frames show no depth."""
     centres = np.stack([-T[:3, :3].T @ T[:3, 3] for T in T_fr])
     steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -73,7 +75,7 @@ def spread_over_path(T_fr: list[Pose], most: int) -> NDArray[np.intp]:
 
 
 class Solver:
-    """The rounds, for one camera."""
+    """Solves for depth and poses with one camera."""
 
     def __init__(self, camera: Camera, options: SolveOptions) -> None:
         self.options, self.wrap = options, camera.kind == "erp"
@@ -83,17 +85,17 @@ class Solver:
         self.align_options = reject_moving(camera, AlignOptions(exposure=True))
 
     def reference(self, levels: list[F32], depth: F32, scale: WorkingScale) -> Reference:
-        """``levels``: the reference frame's whole pyramid; depth (H, W) at ``scale``."""
+        """The reference for alignment. ``levels`` is the frame's whole pyramid, ``depth`` (H, W) is at ``scale``."""
         masked = np.where(scale.valid, depth, np.nan).astype(np.float32)
         levels = levels[scale.level :]
         return make_reference(scale.camera, levels[0], masked, len(levels), self.align_options)
 
     def flat(self, levels: list[F32]) -> Reference:
-        """The reference while nothing is known of its depth: the median everywhere."""
+        """The reference before its depth is known: the median depth everywhere."""
         return self.reference(levels, np.full(self.coarse.valid.shape, MEDIAN_DEPTH, np.float32), self.coarse)
 
     def solve(self, pyramids: list[list[F32]], T_fr: list[Pose], used: NDArray[np.intp]) -> Solution:
-        """pyramids: one per frame, the reference's first; T_fr: where the frames are, roughly; at least one used."""
+        """pyramids: one per frame, the reference's first. T_fr: initial poses. used: frames to sweep, at least one."""
         o, T_fr = self.options, [T.copy() for T in T_fr]
         near, far, scale = o.near, o.far, self.coarse
         depth = np.full(scale.valid.shape, MEDIAN_DEPTH, np.float32)
@@ -113,26 +115,26 @@ class Solver:
                 T_fr[k] = align(reference, pyramids[k][scale.level :], T_fr[k], self.align_options).T_fr
             if round_ < o.rounds:
                 self._bundle(pyramids, T_fr, used, depth, scale)
-            if round_ >= 1:  # the coarse shape is known: spend the shells on the range that occurs
+            if round_ >= 1:  # the coarse shape is known: narrow the range to the depths that occur
                 low, high = np.percentile(depth[scale.valid], [0.5, 99.5]) / MEDIAN_DEPTH
                 near, far = max(0.7 * float(low), o.near), min(1.4 * float(high), o.far)
         return Solution(depth, confidence, T_fr, used)
 
     def backwards(self, before: list[list[F32]], after: list[list[F32]], solution: Solution) -> list[Pose]:
-        """Poses from the reference of the frames before it, newest first, as far as they can be aligned to it.
+        """Poses of the frames before the reference, newest first, as far back as they can be aligned to it.
 
-        before: their pyramids, newest first; after: those of the reference and the frames after it.
+        before: their pyramids, newest first. after: the pyramids of the reference and the frames after it.
         """
         scale, found = self.fine, [solution.T_fr[1], solution.T_fr[0]]
         reference = self.reference(after[0], solution.depth, scale)
 
-        def placed(levels: list[F32], T_fr: Pose) -> tuple[Pose, float, float]:
+        def aligned(levels: list[F32], T_fr: Pose) -> tuple[Pose, float, float]:
             a = align(reference, levels[scale.level :], T_fr, self.align_options)
             return a.T_fr, *mean_cost(reference, levels[scale.level :], a, HUBER)
 
-        usual = float(np.median([placed(after[k], solution.T_fr[k])[1] for k in solution.used]))
+        usual = float(np.median([aligned(after[k], solution.T_fr[k])[1] for k in solution.used]))
         for levels in before:
-            T, cost, seen = placed(levels, renormalise(found[-1] @ invert_pose(found[-2]) @ found[-1]))
+            T, cost, seen = aligned(levels, renormalise(found[-1] @ invert_pose(found[-2]) @ found[-1]))
             if seen < OVERLAP_MIN or not cost < 2 * usual:
                 break
             found.append(T)
@@ -147,7 +149,7 @@ class Solver:
         scale: WorkingScale,
         options: SweepOptions | None = None,
     ) -> tuple[F32, F32]:
-        """Depth and confidence (H, W) from the frames ``used``; between: the range over the median depth."""
+        """Depth and confidence (H, W) from the frames ``used``; ``between`` is the range in median depths."""
         near, far = between[0] * MEDIAN_DEPTH, between[1] * MEDIAN_DEPTH
         T = np.stack([T_fr[k] for k in used])
         luma, images = pyramids[0][scale.level], _images(pyramids, used, scale)
@@ -156,7 +158,7 @@ class Solver:
     def seen(
         self, pyramids: list[list[F32]], T_fr: list[Pose], by: NDArray[np.intp], depth: F32, scale: WorkingScale
     ) -> NDArray[np.bool_]:
-        """(H, W): what at least one of the frames ``by`` sees, at depth (H, W)."""
+        """(H, W): the pixels that at least one of the frames ``by`` sees, at depth (H, W)."""
         T, out = np.stack([T_fr[k] for k in by]).astype(np.float32), np.empty_like(depth)
         R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
         luma, images = pyramids[0][scale.level], _images(pyramids, by, scale)
@@ -166,7 +168,7 @@ class Solver:
     def _bundle(
         self, pyramids: list[list[F32]], T_fr: list[Pose], used: NDArray[np.intp], depth: F32, scale: WorkingScale
     ) -> None:
-        """Poses of the frames ``used`` and depths together; the other frames follow at the next alignment."""
+        """Bundle adjustment of depth and the poses of the frames ``used``. Alignment moves the others later."""
         T = np.stack([T_fr[k] for k in used])
         images = _images(pyramids, used, scale)
         bundle = refine(pyramids[0][scale.level], scale.rays, depth, images, T, self.code, scale.cam)

@@ -1,8 +1,8 @@
-"""Rough poses of the first frames: by alignment to a sphere of constant depth, or from feature tracks.
+"""Initial poses of the first frames: by alignment to a sphere of constant depth, or from feature tracks.
 
-On wide views the first is enough, whatever the scene: a turn and a translation move a panorama in different ways,
-however wrong the depth. In narrow views sideways motion passes for a turn when depth is constant, so they start from
-the essential matrix of the ``sparse`` method's tracks, which needs no depth.
+For wide views constant depth is enough: rotation and translation move a panorama in different ways, however wrong the
+depth. In a narrow view of constant depth, sideways translation looks like rotation; such views start from the
+essential matrix of the ``sparse`` method's tracks, which needs no depth.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from panobench.photometric.reference import Reference
 from panobench.photometric.rotation_only import RotationOnlyAligner
 from panobench.types import Frame
 
-#: An alignment this much dearer than those before it is tried again from another guess.
-DEARER = 1.5
+#: An alignment whose cost exceeds that of the frames before it by this factor is repeated from another initial pose.
+COST_JUMP = 1.5
 
 
 @dataclass
 class Start:
-    """reference: its position among the frames; T_fr: poses from it of itself and the frames after it, one each;
-    seen: share of its view that each of them sees again, if things were at the median depth.
+    """reference: the reference's position among the frames. T_fr: for it and each frame after it, the pose that takes
+    points from the reference to the frame. seen: share of the reference's view that each frame sees, for a scene at
+    the median depth.
     """
 
     reference: int
@@ -37,34 +38,34 @@ class Start:
     seen: list[float]
 
     def parallax(self) -> float:
-        """Largest translation from the reference over the median depth."""
+        """Largest translation from the reference, in median depths (radians)."""
         return max(float(np.linalg.norm(T[:3, 3])) for T in self.T_fr) / MEDIAN_DEPTH
 
-    def turning(self) -> int:
-        """Frames that hardly left the place of the reference."""
+    def without_parallax(self) -> int:
+        """How many frames show no parallax: they are within 1% of the median depth from the reference."""
         return sum(float(np.linalg.norm(T[:3, 3])) < 0.01 * MEDIAN_DEPTH for T in self.T_fr[1:])
 
 
 class PoseStart(ABC):
-    """Takes the frames one by one."""
+    """A source of initial poses. It takes the frames one by one."""
 
     label: str
 
     @abstractmethod
     def add(self, frame: Frame, pyramids: list[list[F32]]) -> None:
-        """The next frame; ``pyramids`` are the luma pyramids of all frames up to it."""
+        """Take the next frame. ``pyramids`` are the luma pyramids of all frames up to it."""
 
     @abstractmethod
     def start(self) -> Start | None:
-        """What is known now; None before there is anything."""
+        """The poses so far, None if there are none yet."""
 
     @abstractmethod
     def close(self) -> None:
-        """Nothing more will be asked."""
+        """Free resources. Nothing else is called afterwards."""
 
 
 class FlatStart(PoseStart):
-    """Every frame is aligned to the first at constant depth."""
+    """Aligns every frame to the first one, which has a constant depth."""
 
     label = "constant depth"
 
@@ -85,7 +86,7 @@ class FlatStart(PoseStart):
             self.T_fr, self.seen = [np.eye(4)], [1.0]
             return
         found, cost = self._aligned(self.reference, pyramids[k], self._predicted())
-        if k == 1 or not cost < DEARER * float(np.median(self.costs[-3:])):
+        if k == 1 or not cost < COST_JUMP * float(np.median(self.costs[-3:])):
             rotation = self.aligner.rotation(pyramids[k - 1], pyramids[k])
             if rotation is not None:
                 other, other_cost = self._aligned(self.reference, pyramids[k], rotation @ self.T_fr[-1])
@@ -102,7 +103,7 @@ class FlatStart(PoseStart):
         self.reference = None
 
     def _predicted(self) -> Pose:
-        """Constant velocity for the newest frame from the two before it."""
+        """Pose of the newest frame by constant velocity from the two before it."""
         T = self.T_fr
         return T[-1] if len(T) < 2 else renormalise(T[-1] @ invert_pose(T[-2]) @ T[-1])
 
@@ -114,7 +115,7 @@ class FlatStart(PoseStart):
 
 
 class TrackStart(PoseStart):
-    """The ``sparse`` method runs on the frames; its map is where it begins."""
+    """Runs the ``sparse`` method on the frames; the first frame of its map is the reference."""
 
     label = "feature tracks"
 
@@ -147,7 +148,7 @@ class TrackStart(PoseStart):
         factor = MEDIAN_DEPTH / float(np.median(np.linalg.norm(points - T_rw[:3, 3], axis=1)))
         T_fr = [np.eye(4)]
         for k in range(first + 1, max(poses) + 1):
-            T = T_fr[-1].copy()  # of a frame that was lost: alignment will find it, or not
+            T = T_fr[-1].copy()  # if the frame was not tracked, alignment starts from the one before
             if k in poses:
                 T = poses[k] @ T_rw
                 T[:3, 3] *= factor

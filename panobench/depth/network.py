@@ -1,7 +1,7 @@
-"""Depth of the first frame by a network that the user names, or by the one that comes along.
+"""Depth of the first frame by a neural network: the user's, or the one that comes with the package.
 
-The network sees a panorama, whatever the camera: what the camera does not see is black there. Its answer is turned into
-radial distance and carried back to the camera's pixels.
+The network gets a panorama, whatever the camera; the parts that the camera does not see are black. Its output is
+converted to radial distance and reprojected to the camera's pixels.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from panobench.errors import InputError, UsageError
 from panobench.types import DepthEstimate, Frame
 
 F32 = NDArray[np.float32]
-#: Median depth given to what is known up to scale only, as ``bootstrap`` does.
+#: Depth that is known up to scale only is scaled to this median, as in ``bootstrap``.
 MEDIAN_DEPTH = 2.0
-#: Least share of the view that needs a usable value.
+#: Least share of the view that must have a usable value.
 LEAST_KNOWN = 0.5
-#: Rays further than this from the optical axis (cosine) have no z depth worth dividing by.
+#: z depth is divided by the cosine to the optical axis only where the cosine exceeds this.
 LEAST_COSINE = 0.05
 
 
 class NetworkDepth(DepthEstimator):
-    """``network:FILE``: an ONNX or TorchScript file with its description beside it."""
+    """``network:FILE``: an ONNX or TorchScript file with a description beside it."""
 
     def __init__(self, argument: str = "") -> None:
         super().__init__(argument)
@@ -47,18 +47,18 @@ class NetworkDepth(DepthEstimator):
         return Path(self.argument).expanduser()
 
     def start(self, camera: Camera, seed: int = 0) -> None:
-        """Loads the network. Raises InputError, UsageError or UnavailableError when it cannot."""
+        """Load the network. Raises InputError, UsageError or UnavailableError if that fails."""
         self._view = _View(camera, self.description)
         self._model: NetworkModel | None = load_model(self.path, self.description)
 
     def add(self, frame: Frame) -> DepthEstimate:
-        """Raises InputError when the answer is no depth."""
+        """Raises InputError if the output is no depth map."""
         if self._model is None:
             self._model = load_model(self.path, self.description)
         d = self.description
-        answer = self._model(_normalised(self._view.given(frame.image), d))
-        self._model = None  # its memory and threads
-        depth = self._view.taken_back(answer)
+        answer = self._model(_normalised(self._view.network_image(frame.image), d))
+        self._model = None  # free its memory and threads
+        depth = self._view.camera_depth(answer)
         known = np.isfinite(depth)
         valid = self._view.valid
         share = float(known[valid].mean()) if valid.any() else 0.0
@@ -75,19 +75,19 @@ class NetworkDepth(DepthEstimator):
 
 
 class RoomsNetDepth(NetworkDepth):
-    """``rooms-net``: the small network of scripts/train_rooms_net.py, which comes with the package."""
+    """``rooms-net``: the small network that scripts/train_rooms_net.py trains; it comes with the package."""
 
     def _file(self) -> Path:
         return Path(__file__).parent / "weights" / "rooms-net.onnx"
 
 
 def network_files(argument: str) -> list[Path]:
-    """What ``network:FILE`` depends on; weights that an ONNX file keeps beside itself count too."""
+    """The files that ``network:FILE`` depends on, with the weights that an ONNX file keeps beside itself."""
     return _files(NetworkDepth(argument).path)
 
 
 def rooms_net_files(argument: str) -> list[Path]:
-    """What ``rooms-net`` depends on."""
+    """The files that ``rooms-net`` depends on."""
     return _files(RoomsNetDepth(argument).path)
 
 
@@ -100,7 +100,7 @@ def _files(network: Path) -> list[Path]:
 
 
 class _View:
-    """Carries images from a camera to the network's input, and its answers back."""
+    """Reprojects images from a camera to the network's input, and its output back."""
 
     def __init__(self, camera: Camera, d: NetworkDescription) -> None:
         self.camera, self.d = camera, d
@@ -113,22 +113,22 @@ class _View:
             self.there = Reprojector(camera, panorama, R)
             self.back = Reprojector(panorama, camera, R.T, antialias=False)
 
-    def given(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What the network is to see, (height, width, 3), RGB."""
+    def network_image(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The network's input as an RGB image (height, width, 3)."""
         if self.there is not None:
             return np.asarray(self.there.image(image), dtype=np.uint8)
         black = np.where(self.valid[..., None], image, np.uint8(0))
         return np.asarray(cv2.resize(black, (self.d.width, self.d.height), interpolation=cv2.INTER_AREA))
 
-    def taken_back(self, answer: F32) -> F32:
-        """Answer (h, w) -> radial distance at the camera's pixels (H, W), NaN where it says nothing usable."""
+    def camera_depth(self, answer: F32) -> F32:
+        """Output (h, w) -> radial distance at the camera's pixels (H, W), NaN where the output is not usable."""
         h, w = answer.shape
         distance = _positive(answer, self.d)
         if self.back is not None:
             if (h, w) != (self.d.height, self.d.width):
                 distance = _resized(distance, self.d.width, self.d.height)
             assert self.there is not None
-            distance[~self.there.valid] = np.nan  # what it made of the black around the view
+            distance[~self.there.valid] = np.nan  # predictions for the black parts
             depth = self.back.depth(distance)
         else:
             depth = _resized(distance, self.camera.width, self.camera.height)
@@ -142,7 +142,7 @@ class _View:
 
 
 def _normalised(image: NDArray[np.uint8], d: NetworkDescription) -> F32:
-    """(1, 3, h, w) or (1, h, w, 3) float32 as the description asks."""
+    """The input tensor, (1, 3, h, w) or (1, h, w, 3) float32 as the description says."""
     x = image.astype(np.float32) * np.float32(d.range / 255.0)
     if d.colour == "bgr":
         x = x[..., ::-1]
@@ -152,7 +152,7 @@ def _normalised(image: NDArray[np.uint8], d: NetworkDescription) -> F32:
 
 
 def _positive(answer: F32, d: NetworkDescription) -> F32:
-    """Distance or z from what the output means; NaN where that is not finite and positive."""
+    """Distance or z from the output by its meaning; NaN where that is not finite and positive."""
     with np.errstate(all="ignore"):
         if d.meaning.startswith("inverse"):
             out = 1.0 / answer
@@ -166,7 +166,7 @@ def _positive(answer: F32, d: NetworkDescription) -> F32:
 
 
 def _resized(depth: F32, width: int, height: int) -> F32:
-    """Edge-aware, pixel centres at k + 0.5."""
+    """Depth at another size by edge-aware interpolation; pixel centres are at k + 0.5."""
     h, w = depth.shape
     x = np.clip((np.arange(width) + 0.5) * w / width - 0.5, 0, w - 1).astype(np.float32)
     y = np.clip((np.arange(height) + 0.5) * h / height - 0.5, 0, h - 1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What a depth network expects and answers: the YAML file beside its weights (docs/depth.md lists the keys)."""
+"""A depth network's input and output as the YAML file beside its weights describes them (keys: docs/depth.md)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_SIDE = 8192
 PROJECTIONS = ("erp", "image")
 COLOURS = ("rgb", "bgr")
 LAYOUTS = ("nchw", "nhwc")
-#: What a value of the output stands for.
+#: What the output's values mean.
 MEANINGS = ("distance", "inverse-distance", "log-distance", "z", "inverse-z")
 
 
@@ -24,11 +24,12 @@ MEANINGS = ("distance", "inverse-distance", "log-distance", "z", "inverse-z")
 class NetworkDescription:
     """Input and output of a depth network.
 
-    width, height: input size. projection: "erp" (it wants an upright panorama) or "image" (the camera's own image).
-    centre_deg: longitude of the panorama's middle column to the right of the forward axis.
-    A pixel value v in 0..1 is given as (range v - mean) / std per channel, in the order ``colour``, axes ``layout``.
-    output: name, or position from 0, of the output that has the depth. meaning: see MEANINGS; metric: its unit, times
-    ``scale``, is the metre; otherwise known up to scale only. far: distances beyond it (after ``scale``) are unknown.
+    width, height: input size in pixels. projection: "erp" (an upright panorama) or "image" (the camera's own image).
+    centre_deg: longitude of the panorama's middle column, to the right of the forward axis.
+    A pixel value v in 0..1 becomes (range v - mean) / std. colour: order of the channels. layout: order of the axes.
+    output: name of the output with the depth, or its position from 0. meaning: see MEANINGS. metric: the output times
+    ``scale`` is in metres; otherwise depth is known up to scale only. far: larger distances, after ``scale``, are
+    unknown.
     """
 
     width: int
@@ -48,18 +49,18 @@ class NetworkDescription:
 
     @property
     def input_shape(self) -> tuple[int, int, int, int]:
-        """Of one image in a batch."""
+        """Shape of the input tensor, a batch of one image."""
         h, w = self.height, self.width
         return (1, 3, h, w) if self.layout == "nchw" else (1, h, w, 3)
 
 
 def description_path(network: Path) -> Path:
-    """``model.yaml`` for ``model.onnx``."""
+    """The description of ``model.onnx`` is ``model.yaml``."""
     return network.with_suffix(".yaml")
 
 
 def read_description(network: Path) -> NetworkDescription:
-    """The description beside ``network``. Raises InputError naming the file and key."""
+    """Read the description beside ``network``. Raises InputError that names the file and the key."""
     path = description_path(network)
     if not path.is_file():
         raise InputError(
@@ -71,7 +72,7 @@ def read_description(network: Path) -> NetworkDescription:
 
 
 def check_description(values: Any, path: Path) -> NetworkDescription:
-    """Plain values as a description. Raises InputError for what is missing, unknown or impossible."""
+    """A description from plain values. Raises InputError for missing, unknown or impossible values."""
     if not isinstance(values, Mapping):
         raise InputError("a network's description is a table of keys and values", path)
     known = [f.name for f in fields(NetworkDescription)]

@@ -1,4 +1,4 @@
-"""A depth network ready to run: ONNX through onnxruntime, or TorchScript through torch."""
+"""Running a depth network: ONNX through onnxruntime, TorchScript through torch."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from panobench.errors import InputError, UnavailableError, UsageError
 F32 = NDArray[np.float32]
 ONNX_SUFFIXES = (".onnx",)
 TORCH_SUFFIXES = (".pt", ".pts", ".ts", ".torchscript")
-#: Set to 1 by users who trust the TorchScript files they name: TorchScript is a program, and may read and write files.
+#: Users who trust the TorchScript files they name set this to 1: TorchScript is a program that can access files.
 TRUST_VARIABLE = "PANOBENCH_TRUST_TORCHSCRIPT"
-#: Values an answer may have.
+#: Most values that an output may have.
 MAX_VALUES = 1 << 26
 
 
@@ -35,10 +35,10 @@ class NetworkModel(ABC):
 
     @abstractmethod
     def outputs(self, tensor: F32) -> dict[str | int, Any]:
-        """All outputs for one input, by name where they have one and by position."""
+        """All outputs for one input, by position, and by name if they have one."""
 
     def __call__(self, tensor: F32) -> F32:
-        """The depth output (h, w), in the network's own unit. Raises InputError when it has not that shape."""
+        """The depth output (h, w) in the network's own unit. Raises InputError if it has another shape."""
         wanted = self.description.output
         try:
             outputs = self.outputs(tensor)
@@ -62,7 +62,7 @@ class NetworkModel(ABC):
 
 
 class OnnxModel(NetworkModel):
-    """ONNX on the CPU. No custom operators, no files from outside the network's folder."""
+    """ONNX on the CPU, without custom operators and without files from outside the network's folder."""
 
     def __init__(self, path: Path, description: NetworkDescription) -> None:
         super().__init__(path, description)
@@ -75,9 +75,9 @@ class OnnxModel(NetworkModel):
         options.log_severity_level = 4
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
-            with contextlib.redirect_stdout(io.StringIO()):  # it prints banners about damaged files
+            with contextlib.redirect_stdout(io.StringIO()):  # onnxruntime prints banners about damaged files
                 self._session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-            # also these: a name that is no text, for one, is noticed only when it is asked for
+            # onnxruntime notices some faults, such as names that are no text, only when they are read
             inputs = [(i.name, i.type, i.shape) for i in self._session.get_inputs()]
             self._outputs = [o.name for o in self._session.get_outputs()]
         except Exception as error:  # onnxruntime has no common base class for its errors
@@ -99,7 +99,7 @@ class OnnxModel(NetworkModel):
 
 
 class TorchScriptModel(NetworkModel):
-    """A TorchScript archive. Loading runs a stranger's program, so that the user has to say that he trusts it."""
+    """A TorchScript archive. Loading it runs a program, so the user has to say that it is trusted."""
 
     def __init__(self, path: Path, description: NetworkDescription) -> None:
         super().__init__(path, description)
@@ -124,13 +124,13 @@ class TorchScriptModel(NetworkModel):
 
 
 def load_model(path: Path, description: NetworkDescription) -> NetworkModel:
-    """By the file's suffix. Raises InputError, UsageError (TorchScript not trusted) or UnavailableError."""
+    """Load a network by its suffix. Raises InputError, UsageError (untrusted TorchScript) or UnavailableError."""
     check_loadable(path)
     return (OnnxModel if path.suffix.lower() in ONNX_SUFFIXES else TorchScriptModel)(path, description)
 
 
 def check_loadable(path: Path) -> None:
-    """What can be said without reading the file. Raises as ``load_model``."""
+    """Check what can be checked without reading the file. Raises the errors of ``load_model``."""
     suffix = path.suffix.lower()
     if suffix not in ONNX_SUFFIXES + TORCH_SUFFIXES:
         known = ", ".join(ONNX_SUFFIXES + TORCH_SUFFIXES)
@@ -147,14 +147,14 @@ def check_loadable(path: Path) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """The error's message in one line of bounded length; the last line of TorchScript's says most."""
+    """The error's message in one line of bounded length. TorchScript's last line says most."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
     text = lines[0] if len(lines) == 1 else f"{lines[0]} ... {lines[-1]}"
     return text if len(text) <= 300 else text[:297] + "..."
 
 
 def worker_threads() -> int:
-    """Processors this process may use, and not more than OMP_NUM_THREADS says."""
+    """Processors that this process may use, at most OMP_NUM_THREADS."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     asked = os.environ.get("OMP_NUM_THREADS", "")
     return max(1, min(usable, int(asked)) if asked.isdecimal() else usable)
@@ -174,7 +174,7 @@ def _check_shape(shape: list[Any], description: NetworkDescription, path: Path) 
 
 
 def _check_archive(path: Path) -> None:
-    """Raises InputError unless it is a TorchScript zip of bounded size (weights alone and pickles are refused)."""
+    """Raises InputError unless it is a TorchScript zip of bounded size. Bare weights and pickles are refused."""
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()

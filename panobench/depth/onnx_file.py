@@ -1,7 +1,7 @@
-"""Looks into an ONNX file before the runtime does: which other files it wants read, which operators it needs.
+"""Inspection of an ONNX file before the runtime loads it: which other files it reads, and which operators it needs.
 
-ONNX is protobuf; only the few fields needed are decoded (wire format: protobuf.dev/programming-guides/encoding,
-field numbers: onnx.proto3). Weights are skipped, not copied.
+ONNX is protobuf. Only the few fields that are needed are decoded, and weights are skipped, not copied (wire format:
+protobuf.dev/programming-guides/encoding; field numbers: onnx.proto3).
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from pathlib import Path
 from panobench.errors import InputError
 from panobench.reading import inside
 
-#: ONNX itself cannot be larger in one file.
+#: A single ONNX file cannot be larger.
 MAX_BYTES = 2 << 30
-#: Operator sets that the runtime brings along; others are custom and need code that is not loaded.
+#: Operator sets that are part of the runtime. Others are custom, and need code that is not loaded.
 KNOWN_DOMAINS = frozenset({"", "ai.onnx", "ai.onnx.ml", "com.microsoft"})
 _MAX_DEPTH = 40
 
-# Message fields: what to descend into, by (message, field number).
+# Messages to descend into, by (message, field number).
 _INSIDE = {
     ("model", 7): "graph",
     ("model", 25): "function",
@@ -43,7 +43,9 @@ _TEXTS = {("node", 4), ("node", 7), ("entry", 1), ("entry", 2), ("function", 1),
 
 @dataclass
 class Contents:
-    """Paths of external data as written in the file, operators of unknown domains ("domain::name"), local functions."""
+    """external: paths of external data as written in the file. custom: operators of unknown domains, "domain::name".
+    functions: those that the file defines itself.
+    """
 
     external: set[str] = field(default_factory=set)
     custom: set[str] = field(default_factory=set)
@@ -51,7 +53,7 @@ class Contents:
 
 
 def read_contents(path: Path) -> Contents:
-    """Raises InputError when the file is too large or not protobuf."""
+    """Read the file. Raises InputError if it is too large or not protobuf."""
     size = path.stat().st_size
     if size > MAX_BYTES:
         raise InputError(f"over {MAX_BYTES >> 30} GiB, too large for a network", path)
@@ -65,7 +67,7 @@ def read_contents(path: Path) -> Contents:
 
 
 def check_contents(path: Path) -> None:
-    """Raises InputError unless the network is complete in its folder and needs no custom operators."""
+    """Raises InputError unless all of the network is in its folder and it needs no custom operators."""
     contents = read_contents(path)
     folder = path.resolve().parent
     for name in sorted(contents.external):
@@ -101,7 +103,7 @@ def _walk(data: memoryview, message: str, found: Contents, depth: int) -> None:
 
 
 def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Length-delimited fields; the others are skipped. Raises ValueError or IndexError for what is no protobuf."""
+    """The length-delimited fields. Raises ValueError or IndexError for data that are not protobuf."""
     at, end = 0, len(data)
     while at < end:
         key, at = _varint(data, at)

@@ -16,7 +16,7 @@ DEPTH_ESTIMATORS: tuple[DepthSpec, ...] = (
     ),
     DepthSpec(
         "constant",
-        "2 m everywhere, jittered by 0.3 m as MonoGS does",
+        "2 m everywhere with noise of 0.3 m, as in MonoGS",
         "panobench.depth.simple:ConstantDepth",
         argument="METRES",
     ),
@@ -29,7 +29,7 @@ DEPTH_ESTIMATORS: tuple[DepthSpec, ...] = (
     ),
     DepthSpec(
         "rooms-net",
-        "a small network that comes along, trained on built-in rooms",
+        "a small network that comes with the package, trained on built-in rooms",
         "panobench.depth.network:RoomsNetDepth",
         requires=("onnxruntime",),
         files="panobench.depth.network:rooms_net_files",

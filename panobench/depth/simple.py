@@ -1,4 +1,4 @@
-"""Depth estimators that look at one frame: the dataset's own depth, and a constant."""
+"""Depth estimators that need one frame: the dataset's own depth, and a constant."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from panobench.types import DepthEstimate, Frame
 
 
 class OracleDepth(DepthEstimator):
-    """The dataset's depth of the first frame that has any. Metric, and flagged in every report."""
+    """The dataset's depth of the first frame that has any. It is metric, and every report flags it."""
 
     def start(self, camera: Camera, seed: int = 0) -> None:
         self._seen = 0
@@ -29,7 +29,7 @@ class OracleDepth(DepthEstimator):
 
 
 class ConstantDepth(DepthEstimator):
-    """The same depth everywhere, jittered; MonoGS starts from 2 m +- 0.3 m."""
+    """The same depth everywhere, with noise. MonoGS starts from 2 m with a standard deviation of 0.3 m."""
 
     def start(self, camera: Camera, seed: int = 0) -> None:
         try:

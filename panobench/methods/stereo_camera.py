@@ -1,6 +1,7 @@
-"""The camera in which depth is estimated: the method's own, or a masked panorama of what it sees.
+"""The camera in which depth is estimated: the method's own, or a panorama of what it sees.
 
-Sweeps and alignment know panoramas and undistorted pinholes; every other central camera becomes one of these first.
+Plane sweeps and alignment work on panoramas and undistorted pinhole images. Images of every other central camera are
+reprojected to a panorama first.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from panobench.errors import UnsupportedError
 from panobench.photometric.warp import camera_code
 from panobench.types import Frame
 
-#: Most columns of the panorama that stands in for a camera.
+#: Largest width of such a panorama, pixels.
 WIDEST = 1024
 
 
 class StereoCamera:
-    """``camera`` is what depth estimators see; images and frames are taken there by ``image`` and ``frame``."""
+    """``camera`` is the camera for depth estimators; ``image`` and ``frame`` reproject to it."""
 
     def __init__(self, original: Camera) -> None:
         self.original = original
@@ -40,7 +41,7 @@ class StereoCamera:
         return self._reprojector is None
 
     def image(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """(H, W, 3) of the original -> of ``camera``."""
+        """Image (H, W, 3) of the original camera -> image of ``camera``."""
         return image if self._reprojector is None else np.asarray(self._reprojector.image(image), np.uint8)
 
     def frame(self, frame: Frame) -> Frame:
@@ -71,7 +72,7 @@ class StereoCamera:
 
 
 def _panorama_of(camera: Camera) -> Reprojector:
-    """Onto a panorama whose pixels are about as large as the camera's."""
+    """To a panorama whose pixels are about as large as the camera's."""
     valid = camera.valid_mask()
     pixel = float(np.sqrt(np.median(camera.solid_angle()[valid])))
     width = min(64 * round(2 * np.pi / pixel / 64), WIDEST)

@@ -21,7 +21,7 @@ from panobench.methods.direct.points import choose_pixels, make_points
 from panobench.methods.direct.tracking import align
 from panobench.methods.direct.window import DirectKeyframe, PointCloud, Window, _host_factor
 from panobench.methods.registration import METHODS
-from panobench.methods.sparse.faces import build_rig
+from panobench.methods.sparse.faces import build_faces
 from panobench.types import DepthEstimate, Frame
 
 N = 16
@@ -64,7 +64,7 @@ def world():
 def window(world):
     """Four keyframes at their true poses and points of the first at their true distance."""
     camera, truth, images = world
-    rig = build_rig(camera, 10**6, LEVELS)
+    rig = build_faces(camera, 10**6, LEVELS)
     config = DirectConfig(held=2)
     w = Window(config, rig, LEVELS)
     for n, i in enumerate((0, 3, 6, 9)):

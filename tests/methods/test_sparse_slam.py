@@ -15,7 +15,7 @@ from panobench.geometry import Sim3, invert_pose, make_pose, so3_exp, so3_log, u
 from panobench.methods.base import MethodContext
 from panobench.methods.registration import METHODS
 from panobench.methods.sparse.config import SparseConfig
-from panobench.methods.sparse.faces import build_rig
+from panobench.methods.sparse.faces import build_faces
 from panobench.methods.sparse.method import SparseMethod
 from panobench.methods.sparse.pointmap import DEAD
 from panobench.methods.sparse.rotation import RotationFinder
@@ -224,7 +224,7 @@ def test_loop_closure_takes_out_drift():
 @pytest.mark.parametrize("step_deg", [2.0, 12.0])
 def test_rotation_finder_measures_a_turn(panoramas, step_deg):
     camera, truth, _ = panoramas
-    rig = build_rig(camera, 10**6, 4)
+    rig = build_faces(camera, 10**6, 4)
     finder = RotationFinder(rig, 4)
     assert np.array_equal(finder.rotation(), np.eye(3))
     axis = np.array([0.3, 0.9, -0.2]) / np.linalg.norm([0.3, 0.9, -0.2])
@@ -249,7 +249,7 @@ def test_turning_pinhole_camera_makes_no_map():
 
 
 def test_cube_faces_cover_the_sphere_once():
-    rig = build_rig(ErpCamera(512, 256), 10**6, 3)
+    rig = build_faces(ErpCamera(512, 256), 10**6, 3)
     assert rig.count == 6
     np.testing.assert_allclose(np.linalg.det(rig.R_fc), 1, atol=1e-12)
     fx = rig.intrinsics[0]
@@ -263,14 +263,14 @@ def test_cube_faces_cover_the_sphere_once():
 @pytest.mark.parametrize("fov", [120, 140, 150, 170, 190])
 def test_faces_keep_the_detail_of_a_fisheye(fov):
     """One plane for 150 degrees lost half of the resolution, and the first map of room1 was wrong with every seed."""
-    assert build_rig(KannalaBrandtCamera.equidistant(640, fov), 10**6, 4).source_scale > 0.68
+    assert build_faces(KannalaBrandtCamera.equidistant(640, fov), 10**6, 4).source_scale > 0.68
 
 
 def test_face_images_show_what_the_camera_sees():
     """A panorama whose brightness is a function of direction comes out the same on every face."""
     camera = ErpCamera(256, 128)
     image = np.round(127 + 100 * camera.rays() @ np.array([0.3, 0.5, -0.8])).astype(np.uint8)
-    rig = build_rig(camera, 10**6, 2)
+    rig = build_faces(camera, 10**6, 2)
     faces = rig.pyramid(image, 2)[0]
     h, w = rig.size
     grid = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), axis=-1).reshape(-1, 2)

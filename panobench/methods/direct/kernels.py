@@ -1,9 +1,10 @@
-"""Numba kernels of ``direct``: the photometric residual of a small pattern and what is summed from it.
+"""Numba kernels of ``direct``: the photometric residual of a small pixel pattern, and its normal equations.
 
-A point is a bearing m and an inverse distance rho in its host keyframe. A pattern pixel is the ray r = m + d in the
-tangent plane; in a target camera it lies along Y = R r + rho t, with (R, t) from host to target, so infinity is
-rho = 0. Residual: I_target(Y) - (1 + gain) I_host - offset. Pattern, Huber and gradient weights as in Engel, Koltun,
-Cremers, "Direct Sparse Odometry" (PAMI 2018), on the sphere as in Huang & Yeung, 360VO (ICRA 2022); formulas our own.
+A point is a bearing m and an inverse distance rho in its host keyframe. A pixel of its pattern is the ray r = m + d in
+the tangent plane. In a target camera it lies along Y = R r + rho t, where (R, t) takes host to target coordinates; at
+infinity rho = 0. The residual is I_target(Y) - (1 + gain) I_host - offset. Pattern, Huber and gradient weights are
+those of Engel, Koltun, Cremers, "Direct Sparse Odometry" (PAMI 2018), used on the sphere as in Huang & Yeung, 360VO
+(ICRA 2022).
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from numba import njit
 
 from panobench.methods.sparse.patches import _best_face, _to_face, tangent_basis
 
-#: Offsets in pixels of the eight pattern pixels.
+#: Offsets of the eight pixels of the pattern.
 PATTERN = np.array([[0, -2], [-1, -1], [1, -1], [-2, 0], [0, 0], [2, 0], [-1, 1], [0, 2]], dtype=np.float64)
 SIZE = len(PATTERN)
-#: Unknowns of a target frame: translation, rotation, gain, offset.
+#: Number of unknowns of a target frame: translation, rotation, gain, offset.
 FRAME = 8
 
 
 @njit(cache=True)
 def _sample(image, u, v, out):  # type: ignore[no-untyped-def]
-    """Value and central-difference gradient, bilinear, into out (3,). False near the border."""
+    """Write the interpolated value and gradient (central differences) to out (3,). False near the border."""
     h, w = image.shape
     x, y = u - 0.5, v - 0.5
     j, i = int(x), int(y)
@@ -73,9 +74,10 @@ def _pattern_residual(  # type: ignore[no-untyped-def]
     Jr,
     weight,
 ):
-    """Residuals (8,), J (8, 8) by the target's unknowns, Jr (8,) by rho, weights (8,); robust energy, or -1.
+    """Write residuals (8,), their derivatives J (8, 8) by the target's unknowns and Jr (8,) by rho, and weights (8,).
 
-    scale: this level's size over the full one; pitch: one of its pixels as an angle.
+    Returns the robust energy, or -1 if the pattern is not in view. scale: size of this level relative to the full one.
+    pitch: angle of one of its pixels, radians.
     """
     x = R[0, 0] * m[0] + R[0, 1] * m[1] + R[0, 2] * m[2] + rho * t[0]
     y = R[1, 0] * m[0] + R[1, 1] * m[1] + R[1, 2] * m[2] + rho * t[1]
@@ -126,7 +128,7 @@ def _pattern_residual(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def cut_colours(image, R_fc, K, scale, bearings, pitch, pattern, out):  # type: ignore[no-untyped-def]
-    """Pattern intensities out (N, 8) of one level around bearings (N, 3); NaN at a border."""
+    """Write the pattern's intensities on one level around bearings (N, 3) to out (N, 8); NaN at a border."""
     pixel = np.empty(3)
     for n in range(len(bearings)):
         m = bearings[n]
@@ -160,10 +162,10 @@ def frame_system(  # type: ignore[no-untyped-def]
     H,
     g,
 ):
-    """Normal equations H (8, 8), g (8,) of one frame against points with hosts; zeros come in.
+    """Normal equations of one frame against the window's points: adds to H (8, 8) and g (8,).
 
-    R, t (K, 3, 3), (K, 3): host keyframe to frame; affine (K, 2): gain and offset from host to frame.
-    Returns energy of the patterns used (the bad ones count as the cut), patterns in view, patterns used.
+    R, t (K, 3, 3), (K, 3): from host keyframe to frame. affine (K, 2): gain and offset from host to frame. Returns the
+    energy, in which outliers count as ``cut``, how many patterns are in view, and how many are no outliers.
     """
     res, J, Jr, weight = np.empty(SIZE), np.empty((SIZE, FRAME)), np.empty(SIZE), np.empty(SIZE)
     energy, seen, used = 0.0, 0, 0
@@ -195,11 +197,11 @@ def window_system(  # type: ignore[no-untyped-def]
     images, valid, R_fc, K, R, t, host, bearings, rho, colours, affine, pitch, pattern, softening, huber, cut,
     H, g, Htr, Hrr, gr, good,
 ):  # fmt: skip
-    """Sums of all patterns in all other keyframes of the window; zeros come in.
+    """Normal equations of all points in all other keyframes of the window. Returns the energy.
 
-    images (K, F, H, W); R, t (K, K, 3, 3), (K, K, 3): [target, host] from host to target; affine (K, K, 2).
-    Per pair of target and host H (K, K, 8, 8), g (K, K, 8) by the target's unknowns; per point Htr (N, K, 8), Hrr (N,),
-    gr (N,); good (N,): targets that see it well. Returns the energy.
+    images (K, F, H, W). R, t (K, K, 3, 3), (K, K, 3): [target, host], from host to target. affine (K, K, 2). Adds to
+    H (K, K, 8, 8) and g (K, K, 8), for each pair of target and host by the target's unknowns; to Htr (N, K, 8),
+    Hrr (N,) and gr (N,), for each point; and to good (N,), the number of targets in which a point is an inlier.
     """
     res, J, Jr, weight = np.empty(SIZE), np.empty((SIZE, FRAME)), np.empty(SIZE), np.empty(SIZE)
     energy = 0.0
@@ -240,7 +242,7 @@ def trace(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Search each candidate's inverse distance between low and high (N,) along its epipolar curve.
 
-    Writes rho, sigma (N,) and status (N,): 1 found, 0 nothing to learn from this view, -1 no or no clear match.
+    Writes rho, sigma (N,) and status (N,): 1 found, 0 too little parallax here, -1 no match or an ambiguous one.
     """
     res, J, Jr, weight = np.empty(SIZE), np.empty((SIZE, FRAME)), np.empty(SIZE), np.empty(SIZE)
     energies = np.empty(129)
@@ -305,6 +307,6 @@ def trace(  # type: ignore[no-untyped-def]
         if information <= 1e-12 or not e >= 0 or e > cut:
             continue
         rho[n] = r
-        # Four grey levels of noise, and never better than a third of a pixel along the curve.
+        # Noise of four grey levels, and at least a third of a pixel along the curve.
         sigma[n] = math.sqrt(16.0 / information + (0.33 * (high[n] - low[n]) / travel) ** 2)
         status[n] = 1

@@ -1,9 +1,10 @@
 """``direct``: direct sparse odometry on the sphere (360VO's family).
 
-The camera becomes tangent faces as in ``sparse`` (``faces``). The first depth comes from the depth estimator; every
-frame is aligned directly to the window's points (``tracking``); keyframes add candidate pixels that are traced along
-their epipolar curves until they have a distance (``points``); a photometric bundle adjustment refines the newest
-keyframes and all points, holding the oldest (``window``). No loops, no relocalisation: odometry.
+The camera becomes a set of perspective faces, as in ``sparse`` (``faces``). The first depth comes from the depth
+estimator. Every frame is aligned directly to the points of a sliding window (``tracking``). Keyframes add candidate
+pixels, which are traced along their epipolar curves until their depth is known (``points``). Photometric bundle
+adjustment refines the newest keyframes and all points; the oldest keyframes are fixed (``window``). There are no
+loops and no relocalisation: this is odometry.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from panobench.methods.direct.config import DirectConfig
 from panobench.methods.direct.points import activate, add_candidates, choose_pixels, make_points, trace_candidates
 from panobench.methods.direct.tracking import Alignment, align
 from panobench.methods.direct.window import DirectKeyframe, PointCloud, Window
-from panobench.methods.sparse.faces import build_rig, levels_for
+from panobench.methods.sparse.faces import build_faces, levels_for
 from panobench.methods.sparse.rotation import RotationFinder
 from panobench.methods.stereo_camera import StereoCamera
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
@@ -30,11 +31,13 @@ from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 Array = NDArray[np.float64]
 Pyramid = list[NDArray[np.uint8]]
 
-MOST_LEVELS = 5
+MAX_LEVELS = 5
 
 
 @dataclass
 class _Tracked:
+    """A tracked frame; T_ck (4, 4) is its pose relative to a keyframe."""
+
     index: int
     time: float
     keyframe: int
@@ -42,7 +45,7 @@ class _Tracked:
 
 
 class DirectMethod(OnlineMethod):
-    """See the module's text. Poses are in the first frame's axes, in the depth estimator's unit."""
+    """See the module's docstring. Poses are in the first frame's axes, in the depth estimator's unit."""
 
     config: DirectConfig
 
@@ -51,26 +54,26 @@ class DirectMethod(OnlineMethod):
 
     def start(self, camera: Camera, context: MethodContext) -> None:
         self.context, self.camera = context, camera
-        self.rig = build_rig(camera, self.config.face_pixels, MOST_LEVELS)
-        self.levels = levels_for(self.rig.focal)
+        self.face_set = build_faces(camera, self.config.face_pixels, MAX_LEVELS)
+        self.levels = levels_for(self.face_set.focal)
         self.rng = np.random.default_rng(context.seed)
-        self.finder = RotationFinder(self.rig, self.levels)
+        self.finder = RotationFinder(self.face_set, self.levels)
         self.stereo = StereoCamera(camera)
         self.depth: DepthEstimator = _estimator(context)
         self.depth.start(self.stereo.camera, context.seed)
         self.first: DepthEstimate | None = None
         self.waiting: list[tuple[Frame, Pyramid]] = []
         self.window: Window | None = None
-        self.poses: list[Array] = []  # T_cw of all keyframes ever
+        self.poses: list[Array] = []  # T_cw of all keyframes, also of those that have left the window
         self.keyframes: list[int] = []
         self.records: list[_Tracked] = []
         self.numbers: dict[int, dict[str, float]] = {}
         self.T_cw, self.velocity, self.affine = np.eye(4), np.eye(4), np.zeros(2)
         self.lost = 0
-        self.usual_rms = 0.0
+        self.mean_rms = 0.0
 
     def track(self, frame: Frame) -> Array | None:
-        pyramid = self.rig.pyramid(frame.image, self.levels)
+        pyramid = self.face_set.pyramid(frame.image, self.levels)
         if self.window is not None:
             self.finder.push(pyramid)
             return self._track(frame, pyramid)
@@ -83,17 +86,17 @@ class DirectMethod(OnlineMethod):
     # -- the first window --------------------------------------------------------------------------------------
 
     def _begin(self, first: DepthEstimate) -> Array | None:
-        """Points of the first frame at the estimated depth, then all frames that were waiting."""
+        """Make points of the first frame at the estimated depth, then track the frames that were waiting for it."""
         self.first = first
         waiting, self.waiting = self.waiting, []
         start = next((i for i, (f, _) in enumerate(waiting) if f.index == first.frame_index), 0)
         frame, pyramid = waiting[start]
-        bearings = choose_pixels(self.rig, pyramid[0], self.config.points, np.empty((0, 3)))
+        bearings = choose_pixels(self.face_set, pyramid[0], self.config.points, np.empty((0, 3)))
         distance = self.stereo.depth_along(first.depth, bearings)
         use = np.isfinite(distance) & (distance > 0)
         rho = 1.0 / distance[use]
-        window = Window(self.config, self.rig, self.levels)
-        window.points = make_points(self.rig, pyramid, bearings[use], 0, rho, 0.5 * rho, 2 * rho)
+        window = Window(self.config, self.face_set, self.levels)
+        window.points = make_points(self.face_set, pyramid, bearings[use], 0, rho, 0.5 * rho, 2 * rho)
         window.candidates = PointCloud.empty(self.levels)
         if len(window.points) < 50:
             self.context.log(f"frame {frame.index}: only {len(window.points)} usable points, no start")
@@ -124,7 +127,7 @@ class DirectMethod(OnlineMethod):
         self.velocity = np.eye(4) if self.lost else renormalise(found.T_cw @ invert_pose(self.T_cw))
         self.lost = 0
         self.T_cw, self.affine = found.T_cw, found.affine
-        self.usual_rms = found.rms if self.usual_rms == 0 else 0.9 * self.usual_rms + 0.1 * found.rms
+        self.mean_rms = found.rms if self.mean_rms == 0 else 0.9 * self.mean_rms + 0.1 * found.rms
         self.numbers[frame.index] = {"rms": found.rms, "in_view": found.seen, "used": found.used}
         if frame.mappable:
             trace_candidates(window, pyramid, self.T_cw, self.affine)
@@ -136,8 +139,8 @@ class DirectMethod(OnlineMethod):
         return invert_pose(self.T_cw)
 
     def _align(self, window: Window, pyramid: Pyramid, guess: Array | None) -> Alignment | None:
-        """The first guess that leads to a residual like the ones before."""
-        limit = min(self.config.lost_residual, max(8.0, 2.0 * self.usual_rms))
+        """The alignment from the first initial pose that gives a residual similar to those of the frames before."""
+        limit = min(self.config.lost_residual, max(8.0, 2.0 * self.mean_rms))
         best = None
         for T in (
             guess if guess is not None else self.velocity @ self.T_cw,
@@ -166,7 +169,7 @@ class DirectMethod(OnlineMethod):
         self.keyframes.append(frame.index)
 
     def _refine(self, window: Window) -> None:
-        """Bundle adjustment with the newest keyframe, new points, and the oldest keyframe's farewell."""
+        """Activate points, adjust the window, and drop the oldest keyframe if the window is full."""
         activate(window, self.rng)
         window.adjust(self.config.iterations)
         if len(window.keyframes) > self.config.window:

@@ -1,4 +1,4 @@
-"""Choosing pixels worth tracking and finding their inverse distance."""
+"""Choosing pixels to track, and finding their inverse distance."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from scipy.spatial import cKDTree
 from panobench.geometry import invert_pose
 from panobench.methods.direct.kernels import PATTERN, SIZE, cut_colours, trace
 from panobench.methods.direct.window import PointCloud, Window
-from panobench.methods.sparse.faces import FaceRig
+from panobench.methods.sparse.faces import FaceSet
 
 Array = NDArray[np.float64]
 
-#: Gradient (grey levels per pixel) a pixel must exceed, on top of its neighbourhood's median.
-ABOVE_MEDIAN = 4.0
-#: A candidate becomes a point when its inverse distance is known to this share.
-SETTLED = 0.12
+#: A pixel's gradient must exceed the mean of its surroundings by this, grey levels per pixel.
+ABOVE_MEAN = 4.0
+#: A candidate becomes a point when the relative uncertainty of its inverse distance is below this.
+MAX_UNCERTAINTY = 0.12
 
 
-def choose_pixels(rig: FaceRig, faces: NDArray[np.uint8], wanted: int, occupied: Array) -> Array:
-    """Unit bearings (N, 3) of about ``wanted`` pixels: the steepest of each grid cell that has no ``occupied`` one."""
-    area = int(rig.core.sum())
+def choose_pixels(face_set: FaceSet, faces: NDArray[np.uint8], wanted: int, occupied: Array) -> Array:
+    """Unit bearings (N, 3) of about ``wanted`` pixels: the steepest one of each unoccupied grid cell."""
+    area = int(face_set.core.sum())
     if wanted <= 0 or area == 0:
         return np.empty((0, 3))
     cell = max(4, int(np.sqrt(area / (wanted + len(occupied)))))
     found = []
-    for f in range(rig.count):
+    for f in range(face_set.count):
         image = cv2.GaussianBlur(faces[f], (3, 3), 0)
         gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
         gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)
@@ -35,26 +35,26 @@ def choose_pixels(rig: FaceRig, faces: NDArray[np.uint8], wanted: int, occupied:
         h, w = steep.shape
         small = cv2.resize(steep, (max(1, w // 32), max(1, h // 32)), interpolation=cv2.INTER_AREA)
         around = cv2.resize(cv2.blur(small, (3, 3)), (w, h), interpolation=cv2.INTER_LINEAR)
-        steep[(steep < around + ABOVE_MEDIAN) | ~rig.core[f]] = 0
+        steep[(steep < around + ABOVE_MEAN) | ~face_set.core[f]] = 0
         rows, columns = h // cell, w // cell
         blocks = steep[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell).swapaxes(1, 2)
         flat = blocks.reshape(rows, columns, -1)
         best = flat.argmax(axis=2)
         taken = np.zeros((rows, columns), bool)
-        _mark(taken, rig, f, occupied, cell)
+        _mark_occupied(taken, face_set, f, occupied, cell)
         i, j = np.nonzero((flat.max(axis=2) > 0) & ~taken)
         at = best[i, j]
         pixels = np.column_stack([j * cell + at % cell + 0.5, i * cell + at // cell + 0.5])
         if len(pixels):
-            found.append(rig.rays(f, pixels))
+            found.append(face_set.rays(f, pixels))
     return np.concatenate(found) if found else np.empty((0, 3))
 
 
-def _mark(taken: NDArray[np.bool_], rig: FaceRig, face: int, occupied: Array, cell: int) -> None:
+def _mark_occupied(taken: NDArray[np.bool_], face_set: FaceSet, face: int, occupied: Array, cell: int) -> None:
     if len(occupied) == 0:
         return
-    fx, fy, cx, cy = rig.intrinsics
-    p = occupied @ rig.R_fc[face].T
+    fx, fy, cx, cy = face_set.intrinsics
+    p = occupied @ face_set.R_fc[face].T
     p = p[p[:, 2] > 0.3]
     j, i = ((fx * p[:, 0] / p[:, 2] + cx) // cell).astype(int), ((fy * p[:, 1] / p[:, 2] + cy) // cell).astype(int)
     inside = (i >= 0) & (j >= 0) & (i < taken.shape[0]) & (j < taken.shape[1])
@@ -62,14 +62,16 @@ def _mark(taken: NDArray[np.bool_], rig: FaceRig, face: int, occupied: Array, ce
 
 
 def make_points(
-    rig: FaceRig, pyramid: list[NDArray[np.uint8]], bearings: Array, host: int, rho: Array, low: Array, high: Array
+    face_set: FaceSet, pyramid: list[NDArray[np.uint8]], bearings: Array, host: int, rho: Array, low: Array, high: Array
 ) -> PointCloud:
-    """Points of one host with their pattern's intensities on every level; those at a border are left out."""
+    """Points of one host keyframe with their patterns' intensities on all levels, without those at a border."""
     colour = np.empty((len(bearings), len(pyramid), SIZE))
     for level, image in enumerate(pyramid):
         scale = 1.0 / (1 << level)
         out = np.empty((len(bearings), SIZE))
-        cut_colours(image, rig.R_fc, rig.intrinsics, scale, bearings, 1.0 / (rig.focal * scale), PATTERN, out)
+        cut_colours(
+            image, face_set.R_fc, face_set.intrinsics, scale, bearings, 1.0 / (face_set.focal * scale), PATTERN, out
+        )
         colour[:, level] = out
     zero = np.zeros(len(bearings), np.int64)
     cloud = PointCloud(np.full(len(bearings), host), bearings, rho, low, high, colour, zero, zero.copy())
@@ -83,14 +85,14 @@ def add_candidates(window: Window) -> None:
     known = window.positions(window.points) @ newest.T_cw[:3, :3].T + newest.T_cw[:3, 3]
     distance = np.linalg.norm(known, axis=1)
     seen = known / distance[:, None]
-    bearings = choose_pixels(window.rig, newest.pyramid[0], window.config.candidates, seen)
+    bearings = choose_pixels(window.face_set, newest.pyramid[0], window.config.candidates, seen)
     if len(bearings) == 0 or len(seen) < 4:
         return
     _, near = cKDTree(seen).query(bearings, k=4)
     around = 1.0 / distance[near]
     rho = np.median(around, axis=1)
     fresh = make_points(
-        window.rig,
+        window.face_set,
         newest.pyramid,
         bearings,
         len(window.keyframes) - 1,
@@ -102,16 +104,17 @@ def add_candidates(window: Window) -> None:
 
 
 def trace_candidates(window: Window, pyramid: list[NDArray[np.uint8]], T_cw: Array, affine: Array) -> None:
-    """Narrow the candidates' inverse distances with a tracked frame; give up those it repeatedly contradicts."""
-    c, rig, p = window.config, window.rig, window.candidates
+    """Narrow the candidates' inverse distances with a tracked frame; remove those that are missed repeatedly."""
+    c, face_set, p = window.config, window.face_set, window.candidates
     if len(p) == 0:
         return
     rel = T_cw @ invert_pose(window.poses())
     rho, sigma, status = p.rho.copy(), np.zeros(len(p)), np.zeros(len(p), np.int64)
     trace(
-        pyramid[0], rig.valid, rig.R_fc, rig.intrinsics,
+        pyramid[0], face_set.valid, face_set.R_fc, face_set.intrinsics,
         np.ascontiguousarray(rel[:, :3, :3]), np.ascontiguousarray(rel[:, :3, 3]),
-        p.host, p.bearing, np.ascontiguousarray(p.colour[:, 0]), affine - window.affines(), p.low, p.high, rig.focal,
+        p.host, p.bearing, np.ascontiguousarray(p.colour[:, 0]), affine - window.affines(), p.low, p.high,
+        face_set.focal,
         PATTERN, c.gradient_softening, c.huber, SIZE * (0.6 * c.outlier) ** 2, rho, sigma, status,
     )  # fmt: skip
     found = status == 1
@@ -124,20 +127,20 @@ def trace_candidates(window: Window, pyramid: list[NDArray[np.uint8]], T_cw: Arr
 
 
 def activate(window: Window, rng: np.random.Generator) -> int:
-    """Settled candidates become points; returns how many did.
+    """Make points of the candidates whose depth is known; returns how many.
 
-    When the window is full they take the place of points of the keyframe that has most, so that no keyframe's
-    departure leaves a hole.
+    If there are too many points, those of the keyframe with the most points are removed, so that the points are
+    spread over the keyframes and no keyframe that leaves the window takes too many with it.
     """
     p, limit = window.candidates, window.config.points
-    settled = (p.hits >= 2) & (p.high - p.low < 2 * SETTLED * p.rho) & (p.host < len(window.keyframes) - 1)
-    index = np.flatnonzero(settled)
+    converged = (p.hits >= 2) & (p.high - p.low < 2 * MAX_UNCERTAINTY * p.rho) & (p.host < len(window.keyframes) - 1)
+    index = np.flatnonzero(converged)
     most = max(limit - len(window.points), 2 * limit // window.config.window)
     if len(index) > most:
         index = np.sort(rng.choice(index, most, replace=False))
     excess = len(window.points) + len(index) - limit
     if excess > 0:
-        _thin_out(window, excess, rng)
+        _remove_points(window, excess, rng)
     window.points = window.points.joined(p.select(index))
     keep = np.ones(len(p), bool)
     keep[index] = False
@@ -145,8 +148,8 @@ def activate(window: Window, rng: np.random.Generator) -> int:
     return len(index)
 
 
-def _thin_out(window: Window, excess: int, rng: np.random.Generator) -> None:
-    """Remove ``excess`` points, always from the host that has most."""
+def _remove_points(window: Window, excess: int, rng: np.random.Generator) -> None:
+    """Remove ``excess`` points, each from the keyframe that has the most points."""
     host = window.points.host
     counts = np.bincount(host, minlength=len(window.keyframes))
     target = counts.copy()

@@ -1,4 +1,4 @@
-"""Pose of a frame by direct alignment of the window's points, coarse to fine."""
+"""Pose of a frame by direct alignment to the window's points, from coarse to fine."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from panobench.methods.direct.window import GAIN_PRIOR, OFFSET_PRIOR, Window
 
 Array = NDArray[np.float64]
 
-#: Gauss-Newton iterations per level, finest first; the last holds for all coarser ones.
+#: Gauss-Newton iterations per level, finest first. The last number is for all coarser levels.
 ITERATIONS = (6, 8, 10, 15)
 
 
 @dataclass
 class Alignment:
-    """T_cw (4, 4); affine (2,); rms in grey levels of the patterns used; seen, used: shares of all points."""
+    """T_cw (4, 4). affine (2,): gain and offset. rms: of the patterns used, grey levels. seen: share of all points that
+    are in view. used: share of those that are no outliers.
+    """
 
     T_cw: Array
     affine: Array
@@ -29,7 +31,7 @@ class Alignment:
 
 
 def align(window: Window, pyramid: list[NDArray[np.uint8]], T_cw: Array, affine: Array) -> Alignment | None:
-    """From the guess ``T_cw``; None when hardly anything is in view."""
+    """Align a frame; ``T_cw`` is the initial pose. None if too few points are in view."""
     result = None
     for level in range(window.levels - 1, -1, -1):
         result = _align_level(window, pyramid, level, T_cw, affine)
@@ -42,7 +44,7 @@ def align(window: Window, pyramid: list[NDArray[np.uint8]], T_cw: Array, affine:
 def _align_level(
     window: Window, pyramid: list[NDArray[np.uint8]], level: int, T_cw: Array, affine: Array
 ) -> Alignment | None:
-    c, rig, p = window.config, window.rig, window.points
+    c, face_set, p = window.config, window.face_set, window.points
     scale = 1.0 / (1 << level)
     colours = np.ascontiguousarray(p.colour[:, level])
     cut = SIZE * c.outlier**2
@@ -53,9 +55,9 @@ def _align_level(
         H, g = np.zeros((FRAME, FRAME)), np.zeros(FRAME)
         rel = T @ T_wk
         energy, seen, used = frame_system(
-            pyramid[level], rig.valid, scale, rig.R_fc, rig.intrinsics,
+            pyramid[level], face_set.valid, scale, face_set.R_fc, face_set.intrinsics,
             np.ascontiguousarray(rel[:, :3, :3]), np.ascontiguousarray(rel[:, :3, 3]),
-            p.host, p.bearing, p.rho, colours, a - hosts, 1.0 / (rig.focal * scale), PATTERN,
+            p.host, p.bearing, p.rho, colours, a - hosts, 1.0 / (face_set.focal * scale), PATTERN,
             c.gradient_softening, c.huber, cut, H, g,
         )  # fmt: skip
         H[6, 6], H[7, 7] = H[6, 6] + prior[0], H[7, 7] + prior[1]

@@ -1,7 +1,8 @@
-"""The window: keyframes, their points, and the photometric bundle adjustment over both.
+"""The sliding window: keyframes, their points, and photometric bundle adjustment of both.
 
-Unknowns per free keyframe: pose (left-multiplied twist), gain and offset; per point its inverse distance in its host.
-The host's Jacobian is the target's through the adjoint of their relative pose, so sums are kept per pair of keyframes.
+Unknowns are the pose (left perturbation), gain and offset of each free keyframe, and the inverse distance of each
+point in its host keyframe. The Jacobian by the host follows from that by the target through the adjoint of their
+relative pose, so the normal equations are accumulated per pair of keyframes.
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ from numpy.typing import NDArray
 from panobench.geometry import hat, invert_pose, renormalise, se3_exp
 from panobench.methods.direct.config import DirectConfig
 from panobench.methods.direct.kernels import FRAME, PATTERN, SIZE, window_system
-from panobench.methods.sparse.faces import FaceRig
+from panobench.methods.sparse.faces import FaceSet
 
 Array = NDArray[np.float64]
 
-#: Strength of the prior that keeps gains (relative) and offsets (grey levels) near zero, in squared grey levels.
+#: Weights of the priors that keep gains (relative) and offsets (grey levels) near zero.
 GAIN_PRIOR, OFFSET_PRIOR = 1e4, 0.1
-#: A point seen well by fewer keyframes than this after bundle adjustment is dropped.
-LEAST_TARGETS = 2
+#: Bundle adjustment removes points that are inliers in fewer other keyframes than this.
+MIN_TARGETS = 2
 
 
 @dataclass
 class DirectKeyframe:
-    """T_cw (4, 4), affine (2,): gain and offset of its intensities; pyramid: its faces per level."""
+    """T_cw (4, 4). affine (2,): gain and offset of its intensities. pyramid: its faces on each level."""
 
     number: int
     frame: int
@@ -38,9 +39,10 @@ class DirectKeyframe:
 
 @dataclass
 class PointCloud:
-    """Points in parallel arrays: host (window slot), bearing, rho, low/high (inverse distances), colour per level.
+    """Points in parallel arrays. host: position of the host keyframe in the window. bearing (N, 3). rho, low, high:
+    inverse distance and its bounds. colour (N, levels, 8): intensities of the pattern.
 
-    hits, misses: traces that found the point and that did not (candidates only).
+    hits, misses (candidates only): how often tracing found the point, and how often in a row it did not.
     """
 
     host: NDArray[np.int64]
@@ -62,10 +64,11 @@ class PointCloud:
         return len(self.host)
 
     def select(self, keep: NDArray[Any]) -> PointCloud:
-        """Those at a mask or index."""
+        """The points at a mask or an index."""
         return PointCloud(*(getattr(self, name)[keep] for name in _COLUMNS))
 
     def joined(self, other: PointCloud) -> PointCloud:
+        """Both clouds' points, these first."""
         return PointCloud(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in _COLUMNS))
 
 
@@ -74,10 +77,10 @@ _COLUMNS = ("host", "bearing", "rho", "low", "high", "colour", "hits", "misses")
 
 @dataclass
 class Window:
-    """Keyframes in order of time; points and candidates refer to them by their place in the list."""
+    """Keyframes in order of time. Points and candidates refer to them by their position in the list."""
 
     config: DirectConfig
-    rig: FaceRig
+    face_set: FaceSet
     levels: int
     keyframes: list[DirectKeyframe] = field(default_factory=list)
     points: PointCloud = field(default_factory=lambda: PointCloud.empty(0))
@@ -98,7 +101,7 @@ class Window:
         return np.asarray(np.einsum("nij,nj->ni", T_wc[:, :3, :3], local) + T_wc[:, :3, 3])
 
     def drop_oldest(self) -> None:
-        """The oldest keyframe leaves with its points and candidates."""
+        """Remove the oldest keyframe with its points and candidates."""
         self.keyframes.pop(0)
         for name in ("points", "candidates"):
             cloud = getattr(self, name).select(getattr(self, name).host > 0)
@@ -106,7 +109,7 @@ class Window:
             setattr(self, name, cloud)
 
     def adjust(self, iterations: int) -> None:
-        """Bundle adjustment of all keyframes but the held ones, and all points; drops points seen badly."""
+        """Bundle adjustment of all points and the keyframes that are not fixed. Removes badly observed points."""
         if len(self.keyframes) < 2 or len(self.points) == 0:
             return
         held = min(self.config.held, max(1, len(self.keyframes) - 2))
@@ -130,12 +133,12 @@ class Window:
             keyframe.T_cw, keyframe.affine = T, affine
         self.points.rho = state.rho
         newest = len(self.keyframes) - 1
-        wanted = np.minimum(LEAST_TARGETS, newest)
+        wanted = np.minimum(MIN_TARGETS, newest)
         good = (system.good >= wanted) & (state.rho > 1e-4)
         self.points = self.points.select(good)
 
     def _linearise(self, images: NDArray[np.uint8], state: _State) -> _System:
-        c, rig, p = self.config, self.rig, self.points
+        c, face_set, p = self.config, self.face_set, self.points
         K, N = len(state.T_cw), len(p)
         rel = state.T_cw[:, None] @ invert_pose(state.T_cw)[None]
         affine = state.affine[:, None] - state.affine[None]
@@ -150,13 +153,13 @@ class Window:
         )
         cut = SIZE * c.outlier**2
         s.energy = window_system(
-            images, rig.valid, rig.R_fc, rig.intrinsics,
+            images, face_set.valid, face_set.R_fc, face_set.intrinsics,
             np.ascontiguousarray(rel[..., :3, :3]), np.ascontiguousarray(rel[..., :3, 3]),
-            p.host, p.bearing, state.rho, np.ascontiguousarray(p.colour[:, 0]), affine, 1.0 / rig.focal,
+            p.host, p.bearing, state.rho, np.ascontiguousarray(p.colour[:, 0]), affine, 1.0 / face_set.focal,
             PATTERN, c.gradient_softening, c.huber, cut, s.H, s.g, s.Htr, s.Hrr, s.gr, s.good,
         )  # fmt: skip
         s.patterns = int(s.good.sum())
-        # Patterns out of view or cut in one state and not in the other must not make it cheaper.
+        # Patterns that are out of view or outliers in one state only must not make that state cheaper.
         s.energy += cut * (N * (K - 1) - s.patterns) * 0.25
         prior = np.array([GAIN_PRIOR, OFFSET_PRIOR])
         s.energy += float(np.sum(prior * state.affine**2))
@@ -190,7 +193,7 @@ class Window:
         free = slice(held * FRAME, K * FRAME)
         Hf, gf = H.reshape(K * FRAME, -1)[free, free], g.reshape(-1)[free]
         Cf = C.reshape(len(C), -1)[:, free]
-        # A weak prior keeps depths that hardly matter from running away.
+        # A weak prior keeps badly observed depths where they are.
         Hrr = s.Hrr * (1 + damping) + 1.0
         Hf = Hf + np.diag(damping * np.diag(Hf) + 1e-6)
         reduced = Hf - Cf.T @ (Cf / Hrr[:, None])
@@ -208,6 +211,8 @@ class Window:
 
 @dataclass
 class _State:
+    """Poses (K, 4, 4), gain and offset (K, 2) and inverse distances (N,)."""
+
     T_cw: Array
     affine: Array
     rho: Array
@@ -215,6 +220,8 @@ class _State:
 
 @dataclass
 class _System:
+    """The normal equations of ``window_system``, and the relative poses (K, K, 4, 4) they were made at."""
+
     H: Array
     g: Array
     Htr: Array
@@ -227,7 +234,7 @@ class _System:
 
 
 def _host_factor(T: Array) -> Array:
-    """(8, 8): a motion of the host acts like minus its adjoint on the target; gain and offset change sign."""
+    """(8, 8): the derivative by the host is minus the adjoint times that by the target; gain and offset change sign."""
     R, t = T[:3, :3], T[:3, 3]
     A = np.zeros((FRAME, FRAME))
     A[:3, :3] = A[3:6, 3:6] = -R

@@ -1,1 +1,1 @@
-"""Camera-agnostic feature SLAM on bearing vectors; see ``method.py``."""
+"""Feature SLAM on bearing vectors, for any central camera; see ``method.py``."""

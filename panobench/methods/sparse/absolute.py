@@ -1,7 +1,7 @@
-"""Pose of a camera from bearings of known points: P3P (Grunert's quartic) in RANSAC, for any central camera.
+"""Absolute pose from bearings of known points: P3P (Grunert's quartic) in RANSAC, for any central camera.
 
 Haralick, Lee, Ottenberg, Nolle, "Review and analysis of solutions of the three point perspective pose estimation
-problem" (IJCV 1994), for the quartic's coefficients. Bearings may point anywhere, also behind.
+problem" (IJCV 1994), for the quartic's coefficients. Bearings may point in any direction, also behind the camera.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def p3p(points: Array, bearings: Array) -> list[Array]:
             continue
         s1 = np.sqrt(b2 / s)
         local = bearings * np.array([s1, u * s1, v * s1])[:, None]
-        # Rigid motion by the frames the two triangles span.
+        # The rigid motion between the orthonormal frames of the two triangles.
         F, G = _triangle_frame(points), _triangle_frame(local)
         R = G @ F.T
         T = np.eye(4)
@@ -69,7 +69,10 @@ def pose_ransac(
     iterations: int = 200,
     minimum: int = 12,
 ) -> tuple[Array, NDArray[np.bool_]] | None:
-    """World-to-camera pose and inliers (N,) of points (N, 3) seen along bearings; threshold in pixels of ``focal``."""
+    """World-to-camera pose (4, 4) and inliers (N,) of points (N, 3) seen along bearings (N, 3).
+
+    ``threshold`` is in pixels of ``focal``. None with fewer than ``minimum`` inliers.
+    """
     n = len(points)
     if n < minimum:
         return None

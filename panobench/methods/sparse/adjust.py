@@ -1,9 +1,9 @@
-"""Least squares on bearing vectors: one pose against known points, and bundle adjustment by the Schur complement.
+"""Least squares on bearing vectors: pose from known points, and bundle adjustment with the Schur complement.
 
-A residual is the direction of a point in the camera minus its measured bearing, on the bearing's tangent plane,
-times ``focal``: pixels near a face's centre, the same everywhere on the sphere and for every camera model.
-Levenberg-Marquardt with Huber weights; poses move on the left: T_cw <- exp(xi) T_cw, xi = (translation, rotation).
-Triggs et al., "Bundle adjustment - a modern synthesis" (1999) for the Schur complement.
+The residual is the direction of a point in the camera minus its measured bearing, on the bearing's tangent plane,
+times ``focal``. This is in pixels of a face's centre, everywhere on the sphere and for every camera model. Solved by
+Levenberg-Marquardt with Huber weights and the left perturbation T_cw <- exp(xi) T_cw, xi = (translation, rotation).
+Schur complement: Triggs et al., "Bundle adjustment - a modern synthesis" (1999).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @njit(cache=True)
 def _exp(xi, R, t):  # type: ignore[no-untyped-def]
-    """(R, t) <- exp(xi) (R, t), in place: Rodrigues' formula on each column and on t."""
+    """(R, t) <- exp(xi) (R, t), in place, by Rodrigues' formula."""
     wx, wy, wz = xi[3], xi[4], xi[5]
     theta2 = wx * wx + wy * wy + wz * wz
     theta = math.sqrt(theta2)
@@ -53,7 +53,7 @@ def _exp(xi, R, t):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _residual(R, t, X, b, focal, J, Y):  # type: ignore[no-untyped-def]
-    """Residual (2) in pixels; J (2, 3) is its derivative by the point in the camera frame, Y (3) that point."""
+    """Residual (2,) in pixels. Writes the point in the camera frame to Y (3,) and the derivative by it to J (2, 3)."""
     for r in range(3):
         Y[r] = R[r, 0] * X[0] + R[r, 1] * X[1] + R[r, 2] * X[2] + t[r]
     norm = math.sqrt(Y[0] * Y[0] + Y[1] * Y[1] + Y[2] * Y[2]) + 1e-12
@@ -63,14 +63,14 @@ def _residual(R, t, X, b, focal, J, Y):  # type: ignore[no-untyped-def]
     s = focal / norm
     J[0, 0], J[0, 1], J[0, 2] = s * (ax - e0 * m0), s * (ay - e0 * m1), s * (az - e0 * m2)
     J[1, 0], J[1, 1], J[1, 2] = s * (cx - e1 * m0), s * (cy - e1 * m1), s * (cz - e1 * m2)
-    if m0 * b[0] + m1 * b[1] + m2 * b[2] < 0:  # behind: as bad as at right angles
+    if m0 * b[0] + m1 * b[1] + m2 * b[2] < 0:  # more than 90 degrees off: the cost of 90 degrees
         return focal, focal
     return focal * e0, focal * e1
 
 
 @njit(cache=True)
 def _pose_row(J, Y, i, row):  # type: ignore[no-untyped-def]
-    """Row i of d residual / d xi: [J, -J hat(Y)]."""
+    """Row i of d(residual) / d(xi) = [J, -J hat(Y)]."""
     row[0], row[1], row[2] = J[i, 0], J[i, 1], J[i, 2]
     row[3] = Y[1] * J[i, 2] - Y[2] * J[i, 1]
     row[4] = Y[2] * J[i, 0] - Y[0] * J[i, 2]
@@ -90,7 +90,7 @@ def _pose_cost(R, t, X, b, focal, huber):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _pose_system(R, t, X, b, focal, huber, H, g):  # type: ignore[no-untyped-def]
-    """Normal equations H (6, 6) and g (6,) of one pose; H and g come in as zeros."""
+    """Normal equations of one pose: adds to H (6, 6) and g (6,)."""
     J, Y = np.empty((2, 3)), np.empty(3)
     row = np.empty(6)
     for n in range(len(X)):
@@ -115,7 +115,7 @@ def _errors(R, t, kf, pt, X, b, focal, out):  # type: ignore[no-untyped-def]
 
 
 def solve_pose(T_cw: Array, points: Array, bearings: Array, focal: float, huber: float, iterations: int = 10) -> Array:
-    """World-to-camera pose (4, 4) that best sees points (N, 3) along bearings (N, 3), from the start ``T_cw``."""
+    """World-to-camera pose (4, 4) that fits points (N, 3) seen along bearings (N, 3) best; ``T_cw`` is the start."""
     if len(points) < 3:
         return T_cw
     X, b = np.ascontiguousarray(points), np.ascontiguousarray(bearings)
@@ -144,7 +144,7 @@ def solve_pose(T_cw: Array, points: Array, bearings: Array, focal: float, huber:
 
 
 def pose_errors(T_cw: Array, points: Array, bearings: Array, focal: float) -> Array:
-    """Residual lengths (N,) in pixels."""
+    """Lengths (N,) of the residuals in pixels."""
     out = np.empty(len(points))
     zero, index = np.zeros(len(points), np.int64), np.arange(len(points))
     R, t = np.ascontiguousarray(T_cw[None, :3, :3]), np.ascontiguousarray(T_cw[None, :3, 3])
@@ -165,9 +165,9 @@ def _ba_cost(R, t, X, kf, pt, b, focal, huber):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _ba_system(R, t, X, kf, pt, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hcp):  # type: ignore[no-untyped-def]
-    """Normal equations: Hc (C, 6, 6), gc (C, 6), Hp (P, 3, 3), gp (P, 3), Hcp (N, 6, 3). They come in as zeros.
+    """Normal equations: adds to Hc (C, 6, 6), gc (C, 6), Hp (P, 3, 3), gp (P, 3) and Hcp (N, 6, 3).
 
-    slot < 0: the pose is fixed.
+    slot (K,): a keyframe's position among the free poses, negative if its pose is fixed.
     """
     J, Y = np.empty((2, 3)), np.empty(3)
     row, side = np.empty(6), np.empty(3)
@@ -210,7 +210,7 @@ def _inverse3(M, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _schur(kf, first, slot, Hc, gc, Hp, gp, Hcp, damping, S, g, Hp_inv):  # type: ignore[no-untyped-def]
-    """Reduced camera system S x = g (upper blocks mirrored by the caller); observations sorted by point."""
+    """Reduced camera system S x = g; observations are sorted by point. Only the upper blocks of S are filled."""
     for s in range(len(Hc)):
         for r in range(6):
             g[6 * s + r] = gc[s, r]
@@ -263,8 +263,9 @@ def _back_substitute(kf, first, slot, Hcp, gp, Hp_inv, x, X, out):  # type: igno
 
 @dataclass
 class BundleResult:
-    """T_cw (K, 4, 4), points (P, 3), errors (N,) residual lengths in pixels in the order given, and the
-    robust cost in squared pixels."""
+    """T_cw (K, 4, 4); points (P, 3); errors (N,), residual lengths in pixels in the order of the observations; cost,
+    the robust cost in squared pixels.
+    """
 
     T_cw: Array
     points: Array
@@ -283,9 +284,9 @@ def bundle_adjust(
     huber: float,
     iterations: int = 8,
 ) -> BundleResult:
-    """Refine poses (K, 4, 4) not ``fixed`` (K,) and all points (P, 3).
+    """Refine the poses (K, 4, 4) that are not ``fixed`` (K,), and all points (P, 3).
 
-    Observation n: keyframe[n] saw point[n] along the unit bearing bearings[n]. Observations come in any order.
+    Observation n: keyframe[n] saw point[n] along the unit vector bearings[n]. Observations can be in any order.
     """
     order = np.lexsort((keyframe, point))
     kf, pt = keyframe[order].astype(np.int64), point[order].astype(np.int64)
@@ -310,7 +311,6 @@ def bundle_adjust(
             S.fill(0.0)
             g.fill(0.0)
             _schur(kf, first, slot, Hc, gc, Hp, gp, Hcp, damping, S, g, Hp_inv)
-            # The kernel fills the blocks (s, o) in the order observations come; sum both halves.
             full = _symmetric(S)
             x = -np.linalg.solve(full, g) if free else np.empty(0)
             R2, t2 = R.copy(), t.copy()
@@ -339,7 +339,7 @@ def bundle_adjust(
 
 
 def _symmetric(S: Array) -> Array:
-    """Keyframes come in ascending order within a point, so only blocks on and above the diagonal are filled."""
+    """The full matrix. A point's keyframes ascend, so only blocks on and above the diagonal are filled in S."""
     blocks = np.arange(len(S)) // 6
     upper = blocks[:, None] < blocks[None, :]
     U = np.where(upper, S, 0.0)

@@ -1,8 +1,8 @@
-"""Binary descriptors of tangent-plane templates, so that a place is known again from elsewhere in the sequence.
+"""Binary descriptors of tangent-plane templates, for loop closure and relocalisation.
 
-Rotated BRIEF (Rublee et al., ORB, ICCV 2011) on the templates the map stores anyway: orientation by the intensity
-centroid, 128 comparisons on each of two pyramid levels. Being cut from the tangent plane of a bearing, a template
-looks the same wherever in a panorama its point lies.
+Rotated BRIEF (Rublee et al., ORB, ICCV 2011) on the templates that the map stores anyway: orientation by the intensity
+centroid, 128 comparisons on each of two pyramid levels. Templates are cut from the tangent plane of a bearing, so a
+point looks the same wherever it lies in a panorama.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BYTES = 2 * TESTS // 8
 
 
 def _pattern() -> NDArray[np.float64]:
-    """(2, TESTS, 4) pairs of points, in template pixels from the centre, inside the template under any rotation."""
+    """Pairs of points (2, TESTS, 4) in template pixels from the centre; rotated ones stay inside the template."""
     rng = np.random.default_rng(20160101)
     p = rng.normal(0, STORED / 5, (2, TESTS * 4, 4))
     inside = (np.hypot(p[..., 0], p[..., 1]) < 6.5) & (np.hypot(p[..., 2], p[..., 3]) < 6.5)
@@ -35,7 +35,7 @@ PATTERN = _pattern()
 
 @njit(cache=True)
 def _smooth(patch, x, y):  # type: ignore[no-untyped-def]
-    """Mean of 3x3 around the pixel nearest to (x, y) from the centre."""
+    """Sum of the 3x3 pixels around (x, y), which is relative to the centre."""
     i, j = int(y + STORED / 2), int(x + STORED / 2)
     i, j = min(max(i, 1), STORED - 2), min(max(j, 1), STORED - 2)
     s = 0.0
@@ -50,13 +50,13 @@ def _describe(templates, levels, pattern, out):  # type: ignore[no-untyped-def]
     tests = pattern.shape[1]
     for n in range(len(templates)):
         mx, my = 0.0, 0.0
-        turn = templates[n, levels[1]]
+        oriented = templates[n, levels[1]]
         for i in range(STORED):
             for j in range(STORED):
                 x, y = j - STORED / 2 + 0.5, i - STORED / 2 + 0.5
                 if x * x + y * y < 49.0:
-                    mx += x * turn[i, j]
-                    my += y * turn[i, j]
+                    mx += x * oriented[i, j]
+                    my += y * oriented[i, j]
         norm = math.sqrt(mx * mx + my * my) + 1e-12
         c, s = mx / norm, my / norm
         for half in range(2):
@@ -81,7 +81,7 @@ def describe(templates: NDArray[np.float32]) -> NDArray[np.uint8]:
 def match(
     a: NDArray[np.uint8], b: NDArray[np.uint8], farthest: int = 64, ratio: float = 0.85
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Mutual nearest neighbours by Hamming distance, clearly nearer than the second: indices into a and b."""
+    """Mutual nearest neighbours by Hamming distance that pass the ratio test: indices into a and b."""
     none = np.empty(0, np.int64)
     if len(a) == 0 or len(b) < 2:
         return none, none

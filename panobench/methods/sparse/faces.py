@@ -1,8 +1,8 @@
-"""Any central camera as a set of perspective "faces": the only place of ``sparse`` that sees the camera model.
+"""Any central camera as a set of perspective images, the "faces". Only this module of ``sparse`` uses the camera model.
 
-A wide camera (panorama, annular lens, fisheye) becomes the sides of a cube, each with a margin so that patches
-at an edge are whole; poles and seam of a panorama are then ordinary places. A camera of moderate field of view is
-one face, resampled only if it is distorted.
+A wide camera (panorama, annular lens, fisheye) becomes the sides of a cube. Each has a margin, so that patches at its
+edge are complete; the poles and the seam of a panorama are then nothing special. A camera with a moderate field of
+view is one face, which is resampled only if the camera has distortion.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from panobench.cameras.base import Camera
 
 Array = NDArray[np.float64]
 
-#: Border around the 90 degrees of a cube side, in face pixels: half of a coarse patch and room to search.
+#: Border around the 90 degrees of a cube side, in face pixels: half of a coarse patch and its search range.
 MARGIN = 28
-#: A camera whose rays all have at least this cosine to its axis (68 degrees) is seen as a single face. Beyond, a plane
-#: spends so many of its pixels on the rim that a cube of as many shows the middle in more detail.
+#: A camera whose rays all lie within 68 degrees of its axis (this cosine) becomes a single face. For wider cameras a
+#: plane spends so many pixels on its rim that a cube with as many pixels has more detail in the middle.
 SINGLE_FACE_COSINE = 0.37
-#: Rows added beyond each pole of a panorama for the interpolation.
+#: Rows that are added beyond each pole of a panorama for interpolation.
 POLE_ROWS = 2
 
 
 @dataclass
-class FaceRig:
+class FaceSet:
     """F faces of H x W pixels.
 
-    R_fc (F, 3, 3) takes camera rays to face rays; intrinsics (4,) are fx, fy, cx, cy (pixel centres at k + 0.5).
-    valid (F, H, W) bool: the pixel shows something. core (F, H, W): valid, away from edges, and nearest to this
-    face (corners are searched there). focal: pixels per radian, the unit of residuals. map_u, map_v (F * H, W): where
-    each face pixel is in the image (None: the image is the face). wraps: the image is a closed panorama.
+    R_fc (F, 3, 3) takes rays from the camera's axes to a face's. intrinsics (4,): fx, fy, cx, cy with pixel centres at
+    k + 0.5. valid (F, H, W): the pixel shows something. core (F, H, W): valid, away from edges, and nearest to this
+    face; corners are detected there. focal: pixels per radian, the unit of residuals. map_u, map_v (F * H, W): where
+    each face pixel lies in the image; None if the image itself is the face. wraps: the image is a closed panorama.
     source_scale: face pixels per image pixel.
     """
 
@@ -55,7 +55,7 @@ class FaceRig:
     def pyramid(self, image: NDArray[np.uint8], levels: int) -> list[NDArray[np.uint8]]:
         """RGB or grey image (H, W[, 3]) -> per level the grey faces (F, H / 2^l, W / 2^l)."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
-        if self.source_scale < 0.7:  # avoid aliasing when the faces are much coarser than the image
+        if self.source_scale < 0.7:  # the faces are much coarser than the image: avoid aliasing
             grey = cv2.GaussianBlur(grey, (0, 0), 0.4 / self.source_scale)
         h, w = self.size
         if self.map_u is not None and self.map_v is not None:
@@ -69,7 +69,7 @@ class FaceRig:
             tall = cv2.copyMakeBorder(grey, 0, h - grey.shape[0], 0, w - grey.shape[1], cv2.BORDER_REPLICATE)
         out: list[NDArray[np.uint8]] = [np.ascontiguousarray(tall, dtype=np.uint8).reshape(self.count, h, w)]
         for level in range(1, levels):
-            # Heights are multiples of 2^levels, so the 2x2 means never mix two faces.
+            # Heights are multiples of 2^levels, so a mean of 2x2 pixels never mixes two faces.
             half = (w >> level, self.count * (h >> level))
             tall = cv2.resize(tall, half, interpolation=cv2.INTER_AREA)
             out.append(np.asarray(tall, dtype=np.uint8).reshape(self.count, h >> level, w >> level))
@@ -84,12 +84,12 @@ class FaceRig:
 
 
 def levels_for(focal: float) -> int:
-    """Pyramid levels such that the coarsest has about 25 pixels per radian, three at least."""
+    """Pyramid levels so that the coarsest has about 25 pixels per radian; at least three."""
     return int(np.clip(1 + round(np.log2(focal / 25.0)), 3, 5))
 
 
-def build_rig(camera: Camera, max_pixels: int, levels: int) -> FaceRig:
-    """Choose faces for a camera. The face resolution follows the camera's mean angular resolution over the sphere."""
+def build_faces(camera: Camera, max_pixels: int, levels: int) -> FaceSet:
+    """Choose faces for a camera, at the camera's mean angular resolution over the sphere."""
     valid = camera.valid_mask()
     rays = camera.rays()
     omega = camera.solid_angle()
@@ -108,10 +108,10 @@ def _round_up(value: float, multiple: int) -> int:
 
 def _single_face(
     camera: Camera, rays: Array, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int
-) -> FaceRig:
+) -> FaceSet:
     x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
     grid = camera.pixel_grid()
-    # An undistorted camera has u affine in x/z: then the image itself is the face.
+    # Without distortion u is affine in x / z, and the image itself is the face.
     fx, cx = np.polyfit(x[usable], grid[..., 0][usable], 1)
     fy, cy = np.polyfit(y[usable], grid[..., 1][usable], 1)
     straight = max(
@@ -122,7 +122,7 @@ def _single_face(
         mask = np.zeros((1, h, w), bool)
         mask[0, : camera.height, : camera.width] = camera.valid_mask()
         intrinsics = np.array([fx, fy, cx, cy])
-        return FaceRig(np.eye(3)[None], intrinsics, (h, w), mask, _erode(mask), float(np.sqrt(fx * fy)), None, None)
+        return FaceSet(np.eye(3)[None], intrinsics, (h, w), mask, _erode(mask), float(np.sqrt(fx * fy)), None, None)
     x0, x1, y0, y1 = (float(f(a[usable])) for a in (x, y) for f in (np.min, np.max))
     focal = min(1.0 / pixel_angle, float(np.sqrt(max_pixels / ((x1 - x0) * (y1 - y0)))))
     w, h = _round_up(focal * (x1 - x0), multiple), _round_up(focal * (y1 - y0), multiple)
@@ -130,7 +130,7 @@ def _single_face(
     return _resampled(camera, np.eye(3)[None], intrinsics, (h, w), focal, pixel_angle, wide=False)
 
 
-def _cube(camera: Camera, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int) -> FaceRig:
+def _cube(camera: Camera, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int) -> FaceSet:
     sides = np.array(
         [
             [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -162,7 +162,7 @@ def _resampled(
     focal: float,
     pixel_angle: float,
     wide: bool,
-) -> FaceRig:
+) -> FaceSet:
     h, w = size
     fx, fy, cx, cy = intrinsics
     u, v = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)
@@ -177,7 +177,7 @@ def _resampled(
     valid = ok & finite & mask[row, col]
     map_u = (pixels[..., 0] - 0.5).astype(np.float32)
     map_v = (pixels[..., 1] - 0.5).astype(np.float32)
-    # A panorama continues over its seam: the interpolation of the outermost columns must too.
+    # A panorama continues across its seam, and so must the interpolation of its outermost columns.
     left, right = camera.unproject(np.array([[0.5, camera.height / 2], [camera.width - 0.5, camera.height / 2]]))
     wraps = wide and float(np.dot(left, right)) > np.cos(3 * pixel_angle)
     if wraps:
@@ -186,7 +186,7 @@ def _resampled(
     if wide and len(R_fc) > 1:
         own = np.argmax(np.einsum("fhwj,kj->fhwk", rays, R_fc[:, 2]), axis=-1) == np.arange(len(R_fc))[:, None, None]
         core &= own
-    return FaceRig(
+    return FaceSet(
         R_fc,
         intrinsics,
         size,
@@ -201,7 +201,7 @@ def _resampled(
 
 
 def _erode(valid: NDArray[np.bool_], radius: int = 8) -> NDArray[np.bool_]:
-    """Pixels whose neighbourhood is valid and inside the face, so that a patch there is whole."""
+    """The pixels whose neighbourhood is valid and inside the face, so that a patch there is complete."""
     kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
     return np.stack(
         [

@@ -1,4 +1,4 @@
-"""The first map: corners of a reference frame are tracked until the parallax allows two-view geometry."""
+"""Map initialisation: corners of a reference frame are tracked until two-view geometry has enough parallax."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from panobench.methods.sparse.adjust import bundle_adjust, pose_errors, solve_po
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners
-from panobench.methods.sparse.faces import FaceRig
+from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.patches import align_level, cut_templates
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, Keyframe, PointMap
 from panobench.methods.sparse.tracking import LIMITS, Pyramid
@@ -21,13 +21,13 @@ from panobench.methods.sparse.twoview import essential_ransac
 
 Array = NDArray[np.float64]
 
-#: The first map is scaled to this median distance.
+#: The first map is scaled to this median distance of its points.
 MEDIAN_DISTANCE = 2.0
 
 
 @dataclass
-class Glimpse:
-    """A frame before there is a map: which tracks it saw and where."""
+class InitialFrame:
+    """A frame before there is a map: its rotation from the reference, the tracks it saw, and their bearings."""
 
     index: int
     time: float
@@ -39,64 +39,66 @@ class Glimpse:
 
 @dataclass
 class Initialiser:
-    """Tracks corners from one reference frame; ``add`` returns a map once two views explain them."""
+    """Tracks corners of one reference frame. ``add`` returns a map as soon as two views give one."""
 
-    rig: FaceRig
+    face_set: FaceSet
     config: SparseConfig
     rng: np.random.Generator
     pool: Executor | None = None
-    glimpses: list[Glimpse] = field(default_factory=list)
+    history: list[InitialFrame] = field(default_factory=list)
 
     def reset(self) -> None:
-        self.glimpses = []
+        self.history = []
 
     def _start(self, pyramid: Pyramid, index: int, time: float) -> None:
-        corners = detect_corners(self.rig, pyramid[0], self.config.features, np.empty((0, 3)))
+        corners = detect_corners(self.face_set, pyramid[0], self.config.features, np.empty((0, 3)))
         if len(corners) < 2 * self.config.min_inliers:
             return
         self.anchors = corners
-        self.templates = cut_templates(pyramid, self.rig.R_fc, self.rig.intrinsics, corners, self.rig.focal)
+        self.templates = cut_templates(
+            pyramid, self.face_set.R_fc, self.face_set.intrinsics, corners, self.face_set.focal
+        )
         self.current = corners.copy()
         self.alive = np.ones(len(corners), bool)
-        self.glimpses = [Glimpse(index, time, True, np.eye(3), np.arange(len(corners)), corners.copy())]
+        self.history = [InitialFrame(index, time, True, np.eye(3), np.arange(len(corners)), corners.copy())]
 
     def add(
-        self, pyramid: Pyramid, index: int, time: float, mappable: bool, spin: Array
-    ) -> tuple[PointMap, list[Glimpse]] | None:
-        """The map and the frames it explains, or None: more frames, please. spin: rotation from the frame before."""
-        if not self.glimpses:
+        self, pyramid: Pyramid, index: int, time: float, mappable: bool, R_prior: Array
+    ) -> tuple[PointMap, list[InitialFrame]] | None:
+        """The map and its frames, or None if more are needed. ``R_prior`` is the rotation from the frame before."""
+        if not self.history:
             if mappable:
                 self._start(pyramid, index, time)
             return None
-        R = self._follow(pyramid, spin)
+        R = self._follow(pyramid, R_prior)
         if R is None:
             self.reset()
             if mappable:
                 self._start(pyramid, index, time)
             return None
         tracks = np.flatnonzero(self.alive)
-        self.glimpses.append(Glimpse(index, time, mappable, R, tracks, self.current[tracks].copy()))
+        self.history.append(InitialFrame(index, time, mappable, R, tracks, self.current[tracks].copy()))
         turned = self.anchors[tracks] @ R.T
         parallax = np.degrees(np.arccos(np.clip(np.sum(turned * self.current[tracks], axis=1), -1, 1)))
-        # In a narrow view sideways motion passes for rotation and hides the parallax: as corners leave the view,
-        # try two-view geometry earlier and let its own parallax decide.
+        # In a narrow view sideways translation looks like rotation, which hides the parallax. When corners leave the
+        # view, two-view geometry is tried earlier, and its own parallax decides.
         leaving = len(tracks) < 0.7 * len(self.anchors)
         needed = self.config.init_parallax * (0.1 if leaving else 1.0)
         if mappable and float(np.median(parallax)) > needed:
             built = self._build(pyramid)
             if built is not None:
-                return built, self.glimpses
+                return built, self.history
         if len(tracks) < max(2 * self.config.min_inliers, 0.25 * len(self.anchors)):
             self.reset()
             if mappable:
                 self._start(pyramid, index, time)
         return None
 
-    def _follow(self, pyramid: Pyramid, spin: Array) -> Array | None:
-        """Track all corners into the frame; its rotation from the reference, or None when they are gone."""
-        last = self.glimpses[-1].rotation
-        R = spin @ last
-        bearings = self.current @ spin.T
+    def _follow(self, pyramid: Pyramid, R_prior: Array) -> Array | None:
+        """Track all corners into the frame. Returns its rotation from the reference, None if too few are left."""
+        last = self.history[-1].rotation
+        R = R_prior @ last
+        bearings = self.current @ R_prior.T
         ok = self.alive.copy()
         score = np.zeros(len(ok))
         zero = np.zeros(len(ok), np.int64)
@@ -106,11 +108,11 @@ class Initialiser:
             score = align_level(
                 self.pool,
                 pyramid[level],
-                self.rig.valid,
+                self.face_set.valid,
                 level,
-                self.rig.R_fc,
-                self.rig.intrinsics,
-                self.rig.focal,
+                self.face_set.R_fc,
+                self.face_set.intrinsics,
+                self.face_set.focal,
                 np.ascontiguousarray(self.templates[:, level]),
                 self.anchors,
                 np.zeros(len(ok)),
@@ -120,7 +122,7 @@ class Initialiser:
                 ok,
                 LIMITS[min(len(pyramid) - 1 - level, len(LIMITS) - 1)] * (1.5 if level else 1.0),
             )
-            if level > 0:  # a level without texture decides nothing
+            if level > 0:  # corners without texture on a coarse level stay where they were
                 failed = before & (~ok | (score < 0.5))
                 bearings[failed] = kept[failed]
                 ok = before
@@ -134,8 +136,8 @@ class Initialiser:
         return _robust_rotation(self.anchors[ok], bearings[ok])
 
     def _build(self, pyramid: Pyramid) -> PointMap | None:
-        focal = self.rig.focal
-        last = self.glimpses[-1]
+        focal = self.face_set.focal
+        last = self.history[-1]
         b1, b2 = self.anchors[last.tracks], last.bearings
         two = essential_ransac(b1, b2, 1.5 / focal, self.rng, 200, np.deg2rad(0.3))
         if two is None or int(two.inliers.sum()) < max(2 * self.config.min_inliers, 0.5 * len(b1)):
@@ -145,17 +147,17 @@ class Initialiser:
         distance = np.linalg.norm(points, axis=1)
         scale = MEDIAN_DISTANCE / float(np.median(distance))
         points, t = points * scale, two.t * scale
-        frames = self._spread()
-        T = [np.eye(4), *self._between(frames, points, tracks, make_pose(two.R, t)), make_pose(two.R, t)]
-        chosen = [0, *frames, len(self.glimpses) - 1]
+        frames = self._intermediate_frames()
+        T = [np.eye(4), *self._intermediate_poses(frames, points, tracks, make_pose(two.R, t)), make_pose(two.R, t)]
+        chosen = [0, *frames, len(self.history) - 1]
         slot = np.full(len(self.anchors), -1)
         slot[tracks] = np.arange(len(tracks))
         kf, pt, b = [], [], []
         for k, g in enumerate(chosen):
-            use = slot[self.glimpses[g].tracks] >= 0
+            use = slot[self.history[g].tracks] >= 0
             kf.append(np.full(int(use.sum()), k))
-            pt.append(slot[self.glimpses[g].tracks[use]])
-            b.append(self.glimpses[g].bearings[use])
+            pt.append(slot[self.history[g].tracks[use]])
+            b.append(self.history[g].bearings[use])
         kfs, pts, bs = np.concatenate(kf), np.concatenate(pt), np.concatenate(b)
         fixed = np.zeros(len(chosen), bool)
         fixed[0] = True
@@ -171,19 +173,23 @@ class Initialiser:
         scale = MEDIAN_DISTANCE / float(np.median(np.linalg.norm(result.points[good], axis=1)))
         return self._make_map(result.points * scale, tracks, good, result.T_cw, chosen, scale)
 
-    def _spread(self) -> list[int]:
-        """Up to three mappable frames between the two views."""
-        inner = [i for i in range(1, len(self.glimpses) - 1) if self.glimpses[i].mappable]
+    def _intermediate_frames(self) -> list[int]:
+        """Positions of up to three mappable frames between the two views."""
+        inner = [i for i in range(1, len(self.history) - 1) if self.history[i].mappable]
         if not inner:
             return []
         pick = np.unique(np.linspace(0, len(inner) - 1, min(3, len(inner))).round().astype(int))
         return [inner[i] for i in pick]
 
-    def _between(self, frames: list[int], points: Array, tracks: NDArray[np.int64], T_last: Array) -> list[Array]:
-        where = np.full(len(self.anchors), -1)
-        where[tracks] = np.arange(len(tracks))
+    def _intermediate_poses(
+        self, frames: list[int], points: Array, tracks: NDArray[np.int64], T_last: Array
+    ) -> list[Array]:
+        point_of_track = np.full(len(self.anchors), -1)
+        point_of_track[tracks] = np.arange(len(tracks))
         return [
-            solve_glimpse(self.glimpses[g], points, where, T_last, self.rig.focal, len(self.glimpses), g)
+            solve_initial_frame(
+                self.history[g], points, point_of_track, T_last, self.face_set.focal, len(self.history), g
+            )
             for g in frames
         ]
 
@@ -197,7 +203,7 @@ class Initialiser:
         scale: float,
     ) -> PointMap:
         m = PointMap(self.templates.shape[1])
-        # Corners that did not make it keep being tracked, as candidates at the median distance.
+        # All other corners are tracked on as candidates at the median distance.
         position = self.anchors * MEDIAN_DISTANCE
         position[tracks[good]] = points[good]
         state = np.full(len(self.anchors), CANDIDATE)
@@ -208,7 +214,7 @@ class Initialiser:
             state=state,
             anchor_bearing=self.anchors,
             bearing=self.current,
-            last_seen=self.glimpses[-1].index,
+            last_seen=self.history[-1].index,
             template=self.templates,
             descriptor=describe(self.templates),
         )
@@ -216,18 +222,24 @@ class Initialiser:
         for number, (g, T) in enumerate(zip(chosen, T_cw)):
             T = T.copy()
             T[:3, 3] *= scale
-            glimpse = self.glimpses[g]
-            m.keyframes.append(Keyframe(number, glimpse.index, T, glimpse.tracks.copy(), glimpse.bearings.copy()))
+            initial = self.history[g]
+            m.keyframes.append(Keyframe(number, initial.index, T, initial.tracks.copy(), initial.bearings.copy()))
         return m
 
 
-def solve_glimpse(
-    glimpse: Glimpse, points: Array, where: NDArray[np.int64], T_last: Array, focal: float, count: int, position: int
+def solve_initial_frame(
+    initial: InitialFrame,
+    points: Array,
+    point_of_track: NDArray[np.int64],
+    T_last: Array,
+    focal: float,
+    count: int,
+    position: int,
 ) -> Array:
-    """Pose of an earlier frame from points (P, 3); where maps a track to its point or -1."""
-    T = make_pose(glimpse.rotation, T_last[:3, 3] * position / max(1, count - 1))
-    use = where[glimpse.tracks] >= 0
-    X, b = points[where[glimpse.tracks[use]]], glimpse.bearings[use]
+    """Pose (4, 4) of an earlier frame from points (P, 3). ``point_of_track`` has each track's point, or -1."""
+    T = make_pose(initial.rotation, T_last[:3, 3] * position / max(1, count - 1))
+    use = point_of_track[initial.tracks] >= 0
+    X, b = points[point_of_track[initial.tracks[use]]], initial.bearings[use]
     T = solve_pose(T, X, b, focal, 1.0, 20)
     near = pose_errors(T, X, b, focal) < 3.0
     return solve_pose(T, X[near], b[near], focal, 1.0, 10) if int(near.sum()) >= 6 else T
@@ -238,7 +250,7 @@ def _angle_between(a: Array, b: Array) -> Array:
 
 
 def _robust_rotation(a: Array, b: Array) -> Array:
-    """Rotation taking unit vectors a (N, 3) to b (N, 3): Kabsch, reweighted by the residual angle."""
+    """Rotation that takes unit vectors a (N, 3) to b (N, 3): Kabsch, reweighted by the residuals."""
     w = np.ones(len(a))
     R = np.eye(3)
     for _ in range(4):

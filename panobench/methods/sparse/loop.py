@@ -1,8 +1,8 @@
-"""Loop closure: recognise an old place, measure the drift as a similarity, spread it, join the maps.
+"""Loop closure: place recognition, Sim(3) of the drift, pose graph optimisation, and merging of points.
 
-Candidates come from descriptor matches between the new keyframe's points and points only old keyframes saw, voted
-per keyframe; a Sim(3) from 3-D matches (RANSAC over Umeyama's solution) must then survive patch alignment against the
-old points. The pose graph has the covisibility edges and the loop's.
+Candidates are found by descriptor matches between the new keyframe's points and points that only old keyframes saw,
+with votes per keyframe. A Sim(3) from 3-D matches (RANSAC over Umeyama's solution) is verified by patch alignment
+against the old points. The pose graph has the covisibility edges and the loop edge.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_f
 
 Array = NDArray[np.float64]
 
-#: Keyframes this recent are never a loop, nor are those sharing this many points with the new one.
+#: Neither the RECENT newest keyframes nor those that share this many points with the new one can close a loop.
 RECENT, SHARED = 10, 15
 VOTES, INLIERS, GROUP, VERIFIED = 10, 7, 10, 30
 
 
 @dataclass
 class Loop:
-    """The drift found at keyframe ``newest``: ``correction`` moves its surroundings onto the old map."""
+    """A loop from keyframe ``newest`` to ``old``; ``correction`` moves the newest keyframe onto the old map."""
 
     newest: int
     old: int
@@ -36,7 +36,7 @@ class Loop:
 
 
 def shared_counts(m: PointMap, keyframe: Keyframe) -> NDArray[np.int64]:
-    """Active points each keyframe (K,) has in common with one."""
+    """For each keyframe (K,), how many active points it shares with ``keyframe``."""
     mine = np.zeros(m.size, bool)
     mine[keyframe.points] = True
     mine &= m.state == ACTIVE
@@ -44,21 +44,21 @@ def shared_counts(m: PointMap, keyframe: Keyframe) -> NDArray[np.int64]:
 
 
 def detect_loop(aligner: Aligner, pyramid: Pyramid, keyframe: Keyframe, rng: np.random.Generator) -> Loop | None:
-    """A loop closing at this keyframe, or None."""
-    m, focal = aligner.map, aligner.rig.focal
+    """The loop that closes at this keyframe, or None."""
+    m, focal = aligner.map, aligner.face_set.focal
     shared = shared_counts(m, keyframe)
     numbers = np.arange(len(shared))
     known = (shared >= SHARED) | (numbers > keyframe.number - RECENT)
     if known.all():
         return None
-    # What neighbours of the new keyframe see is not news.
-    familiar = np.zeros(m.size, bool)
+    # Points that neighbours of the new keyframe see say nothing about a loop.
+    seen_by_neighbours = np.zeros(m.size, bool)
     votes_from = np.zeros(m.size, bool)
     for k, near in zip(m.keyframes, known):
-        (familiar if near else votes_from)[k.points] = True
-    old = np.flatnonzero(votes_from & ~familiar & (m.state == ACTIVE))
+        (seen_by_neighbours if near else votes_from)[k.points] = True
+    old = np.flatnonzero(votes_from & ~seen_by_neighbours & (m.state == ACTIVE))
     mine = keyframe.points[m.state[keyframe.points] == ACTIVE]
-    # Without the ratio test: a corner found twice is in the map twice, and each would spoil the other's ratio.
+    # No ratio test: a corner that was detected twice is in the map twice, and neither copy would pass.
     _, b = match(m.descriptor[mine], m.descriptor[old], ratio=1.01)
     matched = np.zeros(m.size, bool)
     matched[old[b]] = True
@@ -85,7 +85,7 @@ def detect_loop(aligner: Aligner, pyramid: Pyramid, keyframe: Keyframe, rng: np.
     seen = track_frame(aligner, pyramid, invert_pose(T_wc), keyframe.frame, VERIFIED, only=old)
     if seen is None:
         return None
-    # The pose against the old points is better than the similarity's; only the scale comes from the matches.
+    # Rotation and translation are taken from the alignment, which is more accurate; the scale from the matches.
     T_now = invert_pose(seen.T_cw)
     R = T_now[:3, :3] @ keyframe.T_cw[:3, :3]
     t = T_now[:3, 3] - S.scale * R @ centres[keyframe.number]
@@ -95,7 +95,7 @@ def detect_loop(aligner: Aligner, pyramid: Pyramid, keyframe: Keyframe, rng: np.
 def _sim3_ransac(
     new: Array, old: Array, new_eye: Array, old_eye: Array, threshold: float, rng: np.random.Generator
 ) -> Sim3 | None:
-    """Similarity taking new points (N, 3) to old ones, judged by the angles seen from both cameras."""
+    """Similarity that takes new points (N, 3) to old ones; inliers by their angles seen from both cameras."""
 
     def agree(S: Sim3) -> NDArray[np.bool_]:
         there = S.apply_points(new)
@@ -123,7 +123,7 @@ def _sim3_ransac(
 
 
 def _umeyama_triples(p: Array, q: Array) -> tuple[Array, Array, Array]:
-    """Similarities taking triples p (H, 3, 3) to q: scale (H,), R (H, 3, 3), t (H, 3); as ``geometry.umeyama``."""
+    """Similarities that take triples p (H, 3, 3) to q: scale (H,), R (H, 3, 3), t (H, 3); see ``geometry.umeyama``."""
     mp, mq = p.mean(axis=1), q.mean(axis=1)
     pc, qc = p - mp[:, None], q - mq[:, None]
     U, S, Vt = np.linalg.svd(np.swapaxes(qc, 1, 2) @ pc)
@@ -140,7 +140,7 @@ def _angle(a: Array, b: Array) -> Array:
 
 
 def close_loop(m: PointMap, loop: Loop, records: list[FrameRecord], focal: float) -> Array:
-    """Correct keyframes, points and the frames' relative poses; join points seen twice. Returns scales (K,)."""
+    """Correct keyframes, points and the frames' relative poses, and merge duplicate points. Returns scales (K,)."""
     T_wk = invert_pose(m.poses())
     count = len(T_wk)
     before = Similarities(np.ones(count), T_wk[:, :3, :3].copy(), T_wk[:, :3, 3].copy())
@@ -162,7 +162,7 @@ def close_loop(m: PointMap, loop: Loop, records: list[FrameRecord], focal: float
             np.concatenate([measured.R, across.R]),
             np.concatenate([measured.t, across.t]),
         ),
-        np.append(weights, weights.sum()),  # the loop was verified; covisibility edges carry the drift
+        np.append(weights, weights.sum()),  # the loop edge was verified; the covisibility edges have the drift
     )
     anchor = m.anchor
     local = np.einsum("nji,nj->ni", before.R[anchor], m.position - before.t[anchor])
@@ -171,12 +171,12 @@ def close_loop(m: PointMap, loop: Loop, records: list[FrameRecord], focal: float
         k.T_cw = invert_pose(make_pose(after.R[k.number], after.t[k.number]))
     for record in records:
         record.T_ck[:3, 3] *= after.scale[record.keyframe]
-    _join(m, loop, focal)
+    _merge_points(m, loop, focal)
     return after.scale
 
 
 def _covisibility_edges(m: PointMap) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Each keyframe with its predecessor and with earlier ones it shares many points with."""
+    """Edges from each keyframe to the one before it, and to earlier ones that share many points with it."""
     pairs, weights = [], []
     for k in m.keyframes[1:]:
         shared = shared_counts(m, k)[: k.number]
@@ -188,8 +188,8 @@ def _covisibility_edges(m: PointMap) -> tuple[NDArray[np.int64], NDArray[np.int6
     return table[:, 0], table[:, 1], np.array(weights, np.float64)
 
 
-def _join(m: PointMap, loop: Loop, focal: float) -> None:
-    """Give the newest keyframe its sightings of old points; a new point at the same place becomes the old one."""
+def _merge_points(m: PointMap, loop: Loop, focal: float) -> None:
+    """Add observations of old points to the newest keyframe; they replace new points at the same place."""
     key = m.keyframes[loop.newest]
     mine = np.flatnonzero(m.state[key.points] == ACTIVE)
     seen = loop.seen
@@ -198,7 +198,7 @@ def _join(m: PointMap, loop: Loop, focal: float) -> None:
     cosine = seen.bearings @ key.bearings[mine].T
     nearest = np.argmax(cosine, axis=1)
     same = np.sum((seen.bearings - key.bearings[mine[nearest]]) ** 2, axis=1) < (1.5 / focal) ** 2
-    # Both must also lie at about the same distance now.
+    # After the correction both must also lie at about the same distance.
     centre = invert_pose(key.T_cw)[:3, 3]
     d_old = np.linalg.norm(m.position[seen.points] - centre, axis=1)
     d_new = np.linalg.norm(m.position[key.points[mine[nearest]]] - centre, axis=1)

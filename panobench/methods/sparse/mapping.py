@@ -1,4 +1,4 @@
-"""Growing and refining the map at keyframes."""
+"""Mapping at keyframes: new points, triangulation, local bundle adjustment and templates."""
 
 from __future__ import annotations
 
@@ -11,37 +11,40 @@ from panobench.methods.sparse.adjust import bundle_adjust
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners
-from panobench.methods.sparse.faces import FaceRig
+from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.patches import cut_templates
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, Keyframe, PointMap
 
 Array = NDArray[np.float64]
 
-#: Observations further off than this after bundle adjustment are dropped, pixels.
+#: Observations with a larger residual after bundle adjustment are dropped, pixels.
 OUTLIER_PX = 3.0
-#: Keyframes outside the window that a local bundle adjustment holds on to.
-MOST_FIXED = 10
+#: Most fixed keyframes outside the window in a local bundle adjustment.
+MAX_FIXED = 10
 
 
 def ray_distance(b1: Array, b2: Array, R: Array, t: Array) -> tuple[Array, Array]:
-    """Distance along b1 (N, 3) to where b2 (N, 3) passes, x2 = R x1 + t with R (N, 3, 3), t (N, 3); and the
-    angle between the rays (N,). Negative where they meet behind, 0 where they are parallel."""
+    """Distance along bearings b1 (N, 3) to the rays b2 (N, 3) of a second camera, and the angle (N,) between the rays.
+
+    x2 = R x1 + t with R (N, 3, 3), t (N, 3). The distance is negative where the rays meet behind the camera, and 0
+    where they are parallel.
+    """
     r = np.einsum("nij,nj->ni", R, b1)
     cross = np.cross(b2, r)
     angle = np.arctan2(np.linalg.norm(cross, axis=1), np.sum(r * b2, axis=1))
-    # s r + t is parallel to b2: s (b2 x r) = -(b2 x t), in the least-squares sense.
+    # s r + t is parallel to b2, so s (b2 x r) = -(b2 x t), solved by least squares.
     denom = np.sum(cross * cross, axis=1)
     s = -np.sum(cross * np.cross(b2, t), axis=1) / np.maximum(denom, 1e-18)
     return np.where(denom > 1e-14, s, 0.0), angle
 
 
 def add_candidates(
-    m: PointMap, rig: FaceRig, config: SparseConfig, pyramid: list[NDArray[np.uint8]], keyframe: Keyframe
+    m: PointMap, face_set: FaceSet, config: SparseConfig, pyramid: list[NDArray[np.uint8]], keyframe: Keyframe
 ) -> int:
-    """Detect corners in the keyframe where it has none and start points there at their neighbours' depth."""
+    """Detect corners where the keyframe has none, and add them as candidates at their neighbours' depth."""
     seen = keyframe.bearings
     wanted = config.features - len(seen)
-    fresh = detect_corners(rig, pyramid[0], wanted, seen)
+    fresh = detect_corners(face_set, pyramid[0], wanted, seen)
     if len(fresh) == 0:
         return 0
     T_wc = invert_pose(keyframe.T_cw)
@@ -52,7 +55,7 @@ def add_candidates(
         gap, near = cKDTree(seen[known]).query(fresh, k=3)
         weight = 1.0 / (gap + 1e-3)
         distance = np.sum(weight, axis=1) / np.sum(weight / depth[near], axis=1)
-    templates = cut_templates(pyramid, rig.R_fc, rig.intrinsics, fresh, rig.focal)
+    templates = cut_templates(pyramid, face_set.R_fc, face_set.intrinsics, fresh, face_set.focal)
     ids = m.add(
         len(fresh),
         state=CANDIDATE,
@@ -70,7 +73,7 @@ def add_candidates(
 
 
 def promote_candidates(m: PointMap, config: SparseConfig, keyframe: Keyframe) -> int:
-    """Give a depth to the candidates this keyframe sees under enough parallax from their anchor."""
+    """Triangulate the candidates that this keyframe sees with enough parallax to their anchor keyframe."""
     mine = np.flatnonzero(m.state[keyframe.points] == CANDIDATE)
     mine = mine[m.anchor[keyframe.points[mine]] != keyframe.number]
     if len(mine) == 0:
@@ -89,22 +92,22 @@ def promote_candidates(m: PointMap, config: SparseConfig, keyframe: Keyframe) ->
 
 
 def drop_lost_candidates(m: PointMap, misses: int = 3) -> None:
-    """Candidates that failed several frames in a row never become points."""
+    """Remove candidates that were missed in several frames in a row."""
     dead = (m.state == CANDIDATE) & (m.misses >= misses)
     m.state[dead] = DEAD
 
 
 def adjust_window(m: PointMap, config: SparseConfig, focal: float, members: list[int], iterations: int) -> float:
-    """Bundle adjustment of some keyframes and the points they see; keyframes outside that see them stay fixed.
+    """Bundle adjustment of some keyframes and the points they see. Other keyframes that see the points are fixed.
 
-    Drops observations that end up as outliers and points left with fewer than two. Returns the RMS in pixels.
+    Drops outlier observations, and points with fewer than two observations left. Returns the RMS in pixels.
     """
     chosen = np.zeros(m.size, bool)
     for number in members:
         chosen[m.keyframes[number].points] = True
     chosen &= m.state == ACTIVE
     kf_list, pt_list, b_list, at_list = [], [], [], []
-    for k in _witnesses(m, members, chosen):
+    for k in _observing_keyframes(m, members, chosen):
         use = np.flatnonzero(chosen[k.points])
         if len(use) == 0:
             continue
@@ -120,7 +123,7 @@ def adjust_window(m: PointMap, config: SparseConfig, focal: float, members: list
     ids, pt_local = np.unique(pt, return_inverse=True)
     fixed = ~np.isin(numbers, members)
     if not fixed.any():
-        fixed[np.argmin(numbers)] = True  # the gauge
+        fixed[np.argmin(numbers)] = True  # fixes the gauge
     T = m.poses()[numbers]
     result = bundle_adjust(T, m.position[ids], kf_local, pt_local, b, fixed, focal, config.huber_px, iterations)
     m.position[ids] = result.points
@@ -138,34 +141,36 @@ def adjust_window(m: PointMap, config: SparseConfig, focal: float, members: list
     return float(np.sqrt(np.mean(inliers**2))) if len(inliers) else 0.0
 
 
-def _witnesses(m: PointMap, members: list[int], chosen: NDArray[np.bool_]) -> list[Keyframe]:
-    """The members, and of the other keyframes that see the points a few spread over time: a panorama's points are
-    seen by nearly all keyframes, and a dozen hold the gauge as well as a hundred."""
+def _observing_keyframes(m: PointMap, members: list[int], chosen: NDArray[np.bool_]) -> list[Keyframe]:
+    """The members, and some of the other keyframes that see the points, spread over time.
+
+    Nearly all keyframes see a panorama's points, and a dozen fixed ones do as well as a hundred.
+    """
     inside = set(members)
     others = [k for k in m.keyframes if k.number not in inside and int(chosen[k.points].sum()) >= 15]
-    if len(others) > MOST_FIXED:
-        others = [others[i] for i in np.linspace(0, len(others) - 1, MOST_FIXED).round().astype(int)]
+    if len(others) > MAX_FIXED:
+        others = [others[i] for i in np.linspace(0, len(others) - 1, MAX_FIXED).round().astype(int)]
     return sorted([*(m.keyframes[i] for i in members), *others], key=lambda k: k.number)
 
 
 def local_window(m: PointMap, newest: int, size: int) -> list[int]:
-    """The newest keyframe and those sharing most active points with it."""
+    """The newest keyframe and those that share most active points with it."""
     seen = np.zeros(m.size, bool)
     seen[m.keyframes[newest].points] = True
     seen &= m.state == ACTIVE
     shared = np.array([int(seen[k.points].sum()) for k in m.keyframes])
     shared[newest] = np.iinfo(np.int64).max
-    # Of equally connected ones the recent: their poses are the least settled.
+    # Of equally connected keyframes the recent ones, whose poses have been refined least.
     recent = np.arange(len(shared))
     order = np.lexsort((-recent, -np.minimum(shared, max(1, int(0.5 * seen.sum())))))
     order = np.concatenate([[newest], order[order != newest]])
     return sorted(int(k) for k in order[:size] if shared[k] >= 10)
 
 
-def reanchor(
-    m: PointMap, rig: FaceRig, pyramid: list[NDArray[np.uint8]], keyframe: Keyframe, max_angle: float = 25.0
+def renew_templates(
+    m: PointMap, face_set: FaceSet, pyramid: list[NDArray[np.uint8]], keyframe: Keyframe, max_angle: float = 25.0
 ) -> None:
-    """Cut fresh templates for points now seen from another side or scale than their template."""
+    """Cut new templates for points that are seen at another angle or scale than in their template."""
     ids = keyframe.points
     use = (m.state[ids] == ACTIVE) & (m.anchor[ids] != keyframe.number)
     ids, b = ids[use], keyframe.bearings[use]
@@ -180,7 +185,7 @@ def reanchor(
     ids, b = ids[stale], b[stale]
     if len(ids) == 0:
         return
-    m.template[ids] = cut_templates(pyramid, rig.R_fc, rig.intrinsics, b, rig.focal)
+    m.template[ids] = cut_templates(pyramid, face_set.R_fc, face_set.intrinsics, b, face_set.focal)
     m.descriptor[ids] = describe(m.template[ids])
     m.anchor[ids] = keyframe.number
     m.anchor_bearing[ids] = b

@@ -1,9 +1,9 @@
 """``sparse``: feature SLAM on bearing vectors for any central camera.
 
-The camera model is used once, to cut tangent faces out of each image (``faces``). Corners are followed by aligning
-stored tangent-plane templates (``patches``); two views start the map (``initialise``); every frame's pose is solved
-against it (``tracking``); keyframes grow it and local bundle adjustment refines it (``mapping``); a lost camera is
-found again by descriptors (``relocalise``) and old places close loops (``loop``).
+The camera model is used only to resample each image to perspective faces (``faces``). Corners are tracked by aligning
+stored tangent-plane templates (``patches``). Two views initialise the map (``initialise``), and every frame's pose is
+solved against it (``tracking``). Keyframes add points, and local bundle adjustment refines them (``mapping``). A lost
+camera is relocalised by descriptors (``relocalise``), and loops are closed (``loop``).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from panobench.geometry import invert_pose, make_pose, renormalise
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.sparse.adjust import pose_errors, solve_pose
 from panobench.methods.sparse.config import SparseConfig
-from panobench.methods.sparse.faces import FaceRig, build_rig, levels_for
-from panobench.methods.sparse.initialise import Glimpse, Initialiser, solve_glimpse
+from panobench.methods.sparse.faces import FaceSet, build_faces, levels_for
+from panobench.methods.sparse.initialise import InitialFrame, Initialiser, solve_initial_frame
 from panobench.methods.sparse.loop import close_loop, detect_loop
 from panobench.methods.sparse.mapping import (
     add_candidates,
@@ -30,7 +30,7 @@ from panobench.methods.sparse.mapping import (
     drop_lost_candidates,
     local_window,
     promote_candidates,
-    reanchor,
+    renew_templates,
 )
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
 from panobench.methods.sparse.relocalise import relocalise
@@ -40,17 +40,17 @@ from panobench.types import Estimate, Frame, Trajectory
 
 Array = NDArray[np.float64]
 
-#: A map with fewer keyframes than this is given up soon when tracking fails: it was probably wrong.
-YOUNG = 6
-#: Keyframes between two loop closures.
-LOOP_PAUSE = 8
-#: Face sizes are multiples of 2^(MOST_LEVELS - 1).
-MOST_LEVELS = 5
+#: A map with fewer keyframes is given up sooner when tracking fails, because it was probably wrong.
+YOUNG_MAP = 6
+#: Least number of keyframes between two loop closures.
+LOOP_INTERVAL = 8
+#: Face sizes are multiples of 2^(MAX_LEVELS - 1).
+MAX_LEVELS = 5
 
 
 @dataclass
 class Session:
-    """One map and the frames tracked in it. velocity: last frame's camera to this one's."""
+    """One map and the frames that were tracked in it. velocity: T_cw of the last frame relative to the one before."""
 
     map: PointMap
     records: list[FrameRecord] = field(default_factory=list)
@@ -62,33 +62,33 @@ class Session:
     relocalised: int = 0
 
     def pose_of(self, record: FrameRecord) -> Array:
-        """T_cw (4, 4) by the keyframe as it is now."""
+        """T_cw (4, 4) of a frame from the current pose of its keyframe."""
         return renormalise(record.T_ck @ self.map.keyframes[record.keyframe].T_cw)
 
 
 class SparseMethod(OnlineMethod):
-    """See the module's text. Poses are in the first frame's axes, scaled to a median distance of 2."""
+    """See the module's docstring. Poses are in the first frame's axes; the first map has a median distance of 2."""
 
     config: SparseConfig
-    rig: FaceRig
+    face_set: FaceSet
 
     def __init__(self, config: SparseConfig | None = None) -> None:
         super().__init__(config or SparseConfig())
 
     def start(self, camera: Camera, context: MethodContext) -> None:
         self.context = context
-        self.rig = build_rig(camera, self.config.face_pixels, self.config.levels or MOST_LEVELS)
-        self.levels = self.config.levels or levels_for(self.rig.focal)
-        self.finder = RotationFinder(self.rig, self.levels)
+        self.face_set = build_faces(camera, self.config.face_pixels, self.config.levels or MAX_LEVELS)
+        self.levels = self.config.levels or levels_for(self.face_set.focal)
+        self.finder = RotationFinder(self.face_set, self.levels)
         self.rng = np.random.default_rng(context.seed)
         self.pool = ThreadPoolExecutor(2)
-        self.initialiser = Initialiser(self.rig, self.config, self.rng, self.pool)
+        self.initialiser = Initialiser(self.face_set, self.config, self.rng, self.pool)
         self.session: Session | None = None
-        self.former: list[Session] = []
+        self.previous: list[Session] = []
         self.numbers: dict[int, dict[str, float]] = {}
 
     def track(self, frame: Frame) -> Array | None:
-        pyramid = self.rig.pyramid(frame.image, self.levels)
+        pyramid = self.face_set.pyramid(frame.image, self.levels)
         self.finder.push(pyramid)
         if self.session is not None:
             return self._track(self.session, pyramid, frame)
@@ -101,25 +101,25 @@ class SparseMethod(OnlineMethod):
         built = self.initialiser.add(pyramid, frame.index, frame.time, frame.mappable, self.finder.rotation())
         if built is None:
             return None
-        m, glimpses = built
+        m, history = built
         session = Session(m)
-        focal = self.rig.focal
+        focal = self.face_set.focal
         adjust_window(m, self.config, focal, [k.number for k in m.keyframes], 10)
         newest = m.keyframes[-1]
-        where = np.where(m.state == ACTIVE, np.arange(m.size), -1)
+        point_of_track = np.where(m.state == ACTIVE, np.arange(m.size), -1)
         known = {k.frame: k for k in m.keyframes}
-        for position, glimpse in enumerate(glimpses):
-            key = known.get(glimpse.index)
+        for position, initial in enumerate(history):
+            key = known.get(initial.index)
             if key is not None:
                 T = key.T_cw
             else:
-                T = solve_glimpse(glimpse, m.position, where, newest.T_cw, focal, len(glimpses), position)
-            session.records.append(_record_of(glimpse, T, key or m.keyframes[0], where))
+                T = solve_initial_frame(initial, m.position, point_of_track, newest.T_cw, focal, len(history), position)
+            session.records.append(_record_of(initial, T, key or m.keyframes[0], point_of_track))
         self.context.log(
-            f"frame {frame.index}: map of {int((m.state == ACTIVE).sum())} points from {len(glimpses)} frames"
+            f"frame {frame.index}: map of {int((m.state == ACTIVE).sum())} points from {len(history)} frames"
         )
         promote_candidates(m, self.config, newest)
-        add_candidates(m, self.rig, self.config, pyramid, newest)
+        add_candidates(m, self.face_set, self.config, pyramid, newest)
         if len(session.records) >= 2:
             session.velocity = newest.T_cw @ invert_pose(session.pose_of(session.records[-2]))
         session.T_cw = newest.T_cw
@@ -127,45 +127,47 @@ class SparseMethod(OnlineMethod):
         return invert_pose(session.T_cw)
 
     def _resume(self, pyramid: Pyramid, frame: Frame) -> Array | None:
-        """While a new map is being started: is this a place of the former one?"""
-        if not self.former or len(self.former[-1].map.keyframes) < YOUNG:
+        """While a new map is being initialised: relocalise in the previous one."""
+        if not self.previous or len(self.previous[-1].map.keyframes) < YOUNG_MAP:
             return None
-        session = self.former[-1]
+        session = self.previous[-1]
         tracked = relocalise(self._aligner(session), pyramid, frame.index, self.rng)
         if tracked is None:
             return None
-        self.context.log(f"frame {frame.index}: back in the former map")
-        self.former.pop()
+        self.context.log(f"frame {frame.index}: relocalised in the previous map")
+        self.previous.pop()
         self.session = session
-        return self._accept(session, pyramid, frame, tracked, found_again=True)
+        return self._accept(session, pyramid, frame, tracked, recovered=True)
 
     # -- with a map --------------------------------------------------------------------------------------------
 
     def _aligner(self, session: Session) -> Aligner:
-        return Aligner(self.rig, self.config, session.map, self.pool)
+        return Aligner(self.face_set, self.config, session.map, self.pool)
 
     def _track(self, session: Session, pyramid: Pyramid, frame: Frame) -> Array | None:
         aligner = self._aligner(session)
         for guess in self._guesses(session):
             tracked = track_frame(aligner, pyramid, renormalise(guess), frame.index, self.config.min_inliers)
             if tracked is not None:
-                return self._accept(session, pyramid, frame, tracked, found_again=session.lost > 0)
+                return self._accept(session, pyramid, frame, tracked, recovered=session.lost > 0)
         tracked = relocalise(aligner, pyramid, frame.index, self.rng)
         if tracked is not None:
             session.relocalised += 1
-            return self._accept(session, pyramid, frame, tracked, found_again=True)
+            return self._accept(session, pyramid, frame, tracked, recovered=True)
         if session.lost == 0:
             self.context.log(f"frame {frame.index}: lost")
         session.lost += 1
-        patience = self.config.restart_after if len(session.map.keyframes) >= YOUNG else self.config.restart_after // 4
-        if session.lost >= patience:
-            self.former.append(session)
+        max_lost = (
+            self.config.restart_after if len(session.map.keyframes) >= YOUNG_MAP else self.config.restart_after // 4
+        )
+        if session.lost >= max_lost:
+            self.previous.append(session)
             self.session = None
             self.initialiser.reset()
         return None
 
     def _guesses(self, session: Session) -> Iterator[Array]:
-        """Where the camera may be now, the likeliest first; the costlier ones are only made when asked for."""
+        """Predicted poses, the most likely first. The costly ones are computed only when they are needed."""
         if session.lost == 0:
             yield session.velocity @ session.T_cw
             yield make_pose(self.finder.rotation(), np.zeros(3)) @ session.T_cw
@@ -173,14 +175,14 @@ class SparseMethod(OnlineMethod):
             yield session.T_cw
 
     def _accept(
-        self, session: Session, pyramid: Pyramid, frame: Frame, tracked: Tracked, found_again: bool = False
+        self, session: Session, pyramid: Pyramid, frame: Frame, tracked: Tracked, recovered: bool = False
     ) -> Array:
         m = session.map
         if session.lost:
             self.context.log(f"frame {frame.index}: found again after {session.lost} frames")
         session.lost = 0
         update_candidates(m, tracked)
-        session.velocity = np.eye(4) if found_again else renormalise(tracked.T_cw @ invert_pose(session.T_cw))
+        session.velocity = np.eye(4) if recovered else renormalise(tracked.T_cw @ invert_pose(session.T_cw))
         session.T_cw = tracked.T_cw
         self.numbers[frame.index] = {"points": float(len(tracked.points)), "error_px": tracked.error_px}
         reference = m.keyframes[-1]
@@ -211,7 +213,7 @@ class SparseMethod(OnlineMethod):
         return moved > config.keyframe_distance * depth or thin or few or (late and moved > 0.01 * depth)
 
     def _add_keyframe(self, session: Session, pyramid: Pyramid, frame: Frame, tracked: Tracked) -> Keyframe:
-        m, config, focal = session.map, self.config, self.rig.focal
+        m, config, focal = session.map, self.config, self.face_set.focal
         key = Keyframe(
             len(m.keyframes),
             frame.index,
@@ -223,11 +225,11 @@ class SparseMethod(OnlineMethod):
         promote_candidates(m, config, key)
         drop_lost_candidates(m)
         adjust_window(m, config, focal, local_window(m, key.number, config.window), 6)
-        if config.loops and key.number >= session.last_loop + LOOP_PAUSE:
+        if config.loops and key.number >= session.last_loop + LOOP_INTERVAL:
             self._close_loop(session, pyramid, key)
         session.T_cw = key.T_cw
-        reanchor(m, self.rig, pyramid, key)
-        add_candidates(m, self.rig, config, pyramid, key)
+        renew_templates(m, self.face_set, pyramid, key)
+        add_candidates(m, self.face_set, config, pyramid, key)
         return key
 
     def _close_loop(self, session: Session, pyramid: Pyramid, key: Keyframe) -> None:
@@ -235,8 +237,8 @@ class SparseMethod(OnlineMethod):
         loop = detect_loop(self._aligner(session), pyramid, key, self.rng)
         if loop is None:
             return
-        scales = close_loop(m, loop, session.records, self.rig.focal)
-        adjust_window(m, self.config, self.rig.focal, [k.number for k in m.keyframes], 10)
+        scales = close_loop(m, loop, session.records, self.face_set.focal)
+        adjust_window(m, self.config, self.face_set.focal, [k.number for k in m.keyframes], 10)
         session.velocity[:3, 3] *= scales[key.number]
         session.last_loop = key.number
         session.loops += 1
@@ -247,7 +249,7 @@ class SparseMethod(OnlineMethod):
 
     def finish(self) -> Estimate:
         self.pool.shutdown()
-        sessions = [*self.former, *([self.session] if self.session is not None else [])]
+        sessions = [*self.previous, *([self.session] if self.session is not None else [])]
         if not sessions:
             empty = Trajectory(np.empty(0), np.empty((0, 4, 4)))
             return Estimate(empty, extra={"initialised": False})
@@ -261,7 +263,9 @@ class SparseMethod(OnlineMethod):
         }
         if self.config.final_ba > 0:
             everything = [k.number for k in m.keyframes]
-            extra["reprojection_px"] = adjust_window(m, self.config, self.rig.focal, everything, self.config.final_ba)
+            extra["reprojection_px"] = adjust_window(
+                m, self.config, self.face_set.focal, everything, self.config.final_ba
+            )
         records = sorted(session.records, key=lambda r: r.index)
         poses = []
         for record in records:
@@ -282,22 +286,22 @@ class SparseMethod(OnlineMethod):
         return {} if session is None else {r.index: invert_pose(session.pose_of(r)) for r in session.records}
 
     def _refit(self, m: PointMap, record: FrameRecord, T: Array) -> Array:
-        """The pose again, from the frame's own measurements and the points as they are now."""
+        """The pose from the frame's own measurements and the refined points."""
         alive = m.state[record.points] == ACTIVE
         X, b = m.position[record.points[alive]], record.bearings[alive].astype(np.float64)
-        near = pose_errors(T, X, b, self.rig.focal) < 4.0
+        near = pose_errors(T, X, b, self.face_set.focal) < 4.0
         if int(near.sum()) < self.config.min_inliers:
             return T
-        return solve_pose(T, X[near], b[near], self.rig.focal, self.config.huber_px, 10)
+        return solve_pose(T, X[near], b[near], self.face_set.focal, self.config.huber_px, 10)
 
 
-def _record_of(glimpse: Glimpse, T_cw: Array, key: Keyframe, where: NDArray[np.int64]) -> FrameRecord:
-    use = where[glimpse.tracks] >= 0
+def _record_of(initial: InitialFrame, T_cw: Array, key: Keyframe, point_of_track: NDArray[np.int64]) -> FrameRecord:
+    use = point_of_track[initial.tracks] >= 0
     return FrameRecord(
-        glimpse.index,
-        glimpse.time,
+        initial.index,
+        initial.time,
         key.number,
         T_cw @ invert_pose(key.T_cw),
-        glimpse.tracks[use],
-        glimpse.bearings[use].astype(np.float32),
+        initial.tracks[use],
+        initial.bearings[use].astype(np.float32),
     )

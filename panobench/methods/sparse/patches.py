@@ -1,9 +1,9 @@
-"""Numba kernels on image patches: cutting them out of the tangent plane of a bearing, and aligning them.
+"""Numba kernels for image patches: cutting templates on the tangent plane of a bearing, and aligning them.
 
-A template is stored on the tangent plane of the bearing where its point was first seen, so it belongs to no face
-and no camera model. Alignment warps it into the current face by the point's predicted motion and solves the
-remaining 2-D shift coarse to fine: inverse-compositional Gauss-Newton with an intensity offset (Baker & Matthews,
-"Lucas-Kanade 20 years on", IJCV 2004; the use for sparse points follows Forster et al., SVO, 2014).
+A template lies on the tangent plane of the bearing at which its point was first seen, so it depends on no face and no
+camera model. Alignment warps it into the current face by the point's predicted motion, and solves for the remaining
+2-D shift from coarse to fine: inverse-compositional Gauss-Newton with an intensity offset (Baker & Matthews,
+"Lucas-Kanade 20 years on", IJCV 2004; for sparse points as in Forster et al., SVO, 2014).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-#: Side of a stored template; large enough for an 8x8 window rotated and scaled inside it.
+#: Side of a stored template in pixels: an 8x8 window fits into it at any rotation and moderate scales.
 STORED = 16
 WINDOW = 8
 _HALF = WINDOW // 2
@@ -24,7 +24,7 @@ _HALF = WINDOW // 2
 
 @njit(cache=True)
 def tangent_basis(x, y, z):  # type: ignore[no-untyped-def]
-    """Two unit vectors that make an orthonormal frame with the unit vector (x, y, z) (Duff et al. 2017)."""
+    """Two unit vectors that are orthogonal to the unit vector (x, y, z) and to each other (Duff et al. 2017)."""
     s = 1.0 if z >= 0 else -1.0
     a = -1.0 / (s + z)
     b = x * y * a
@@ -53,7 +53,7 @@ def _to_face(R_fc, K, f, x, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _bilinear(image, u, v):  # type: ignore[no-untyped-def]
-    """Value at pixel coordinates (centres at k + 0.5), clamped to the border."""
+    """Interpolated value at pixel coordinates (centres at k + 0.5), clamped to the border."""
     h, w = image.shape
     x = min(max(u - 0.5, 0.0), w - 1.001)
     y = min(max(v - 0.5, 0.0), h - 1.001)
@@ -88,7 +88,7 @@ def cut_templates(
     bearings: NDArray[np.float64],
     focal: float,
 ) -> NDArray[np.float32]:
-    """Templates (N, levels, 16, 16) around unit bearings (N, 3); one template pixel is 2^level / focal radians."""
+    """Templates (N, levels, 16, 16) around unit bearings (N, 3). A template pixel is 2^level / focal radians."""
     out = np.zeros((len(bearings), len(pyramid), STORED, STORED), np.float32)
     for level, image in enumerate(pyramid):
         _cut_level(image, level, R_fc, intrinsics, bearings, 1.0 / focal, out)
@@ -97,15 +97,15 @@ def cut_templates(
 
 @njit(cache=True, fastmath=True)
 def _shift(image, template, gx, gy, inv, offset, u, v, limit):  # type: ignore[no-untyped-def]
-    """Gauss-Newton for the shift of one window; returns u, v, converged-enough."""
+    """Gauss-Newton for the shift of one window. Returns u, v and whether they stayed within the limit."""
     u0, v0 = u, v
     h, w = image.shape
     for _ in range(12):
         if u < _HALF or v < _HALF or u > w - _HALF - 1 or v > h - _HALF - 1:
             return u, v, False
         b0, b1, b2 = 0.0, 0.0, 0.0
-        # All samples share one fraction, so the bilinear weights are computed once.
-        x, y = u - _HALF, v - _HALF  # first sample's centre, as an index
+        # All samples have the same subpixel position, so the bilinear weights are computed once.
+        x, y = u - _HALF, v - _HALF  # the first sample's centre as an index
         j0, i0 = int(x), int(y)
         a, b = x - j0, y - i0
         w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
@@ -132,7 +132,7 @@ def _shift(image, template, gx, gy, inv, offset, u, v, limit):  # type: ignore[n
 
 @njit(cache=True, fastmath=True)
 def _window(stored, A_inv, template, gx, gy, inv, big):  # type: ignore[no-untyped-def]
-    """Warp a stored template to the current face; gradients, inverse Hessian. False if it has no texture."""
+    """Write the template as the current face sees it, its gradients and inverse Hessian. False without texture."""
     for i in range(WINDOW + 2):
         dv = i - _HALF - 0.5
         for j in range(WINDOW + 2):
@@ -153,14 +153,14 @@ def _window(stored, A_inv, template, gx, gy, inv, big):  # type: ignore[no-untyp
             s0 += x
             s1 += y
     n = float(WINDOW * WINDOW)
-    # Schur complement of the intensity offset, then the 3x3 inverse by blocks.
+    # The inverse of the 3x3 Hessian by blocks, from the Schur complement of the intensity offset.
     a, b, c = h00 - s0 * s0 / n, h01 - s0 * s1 / n, h11 - s1 * s1 / n
     det = a * c - b * b
     trace = a + c
     if trace <= 0 or det <= 0:
         return False
     smallest = 0.5 * (trace - math.sqrt(max(0.0, trace * trace - 4 * det)))
-    if smallest < 1.0 * n:  # mean squared gradient of one grey level per pixel in the weakest direction
+    if smallest < 1.0 * n:  # mean squared gradient in the weakest direction: one grey level per pixel
         return False
     i00, i01, i11 = c / det, -b / det, a / det
     inv[0, 0], inv[0, 1], inv[1, 0], inv[1, 1] = i00, i01, i01, i11
@@ -172,7 +172,7 @@ def _window(stored, A_inv, template, gx, gy, inv, big):  # type: ignore[no-untyp
 
 @njit(cache=True, fastmath=True)
 def _zncc(image, template, u, v):  # type: ignore[no-untyped-def]
-    """Normalised correlation of a template with the window around (u, v), which must lie inside the image."""
+    """Zero-mean normalised cross-correlation of a template with the window around (u, v), inside the image."""
     h, w = image.shape
     x, y = min(u - _HALF, w - WINDOW - 1.0), min(v - _HALF, h - WINDOW - 1.0)
     j0, i0 = int(x), int(y)
@@ -216,7 +216,7 @@ def _align_level(  # type: ignore[no-untyped-def]
         u, v = _to_face(R_fc, K, f, bx, by, bz)
         if u < 1 or v < 1 or u > valid.shape[2] - 1 or v > valid.shape[1] - 1 or not valid[f, int(v), int(u)]:
             continue
-        # Derivative of the face pixel by the template's tangent coordinates, at the predicted place.
+        # Derivative of the face's pixel by the template's tangent coordinates, at the predicted position.
         mx, my, mz = anchors[n, 0], anchors[n, 1], anchors[n, 2]
         ax, ay, az, cx, cy, cz = tangent_basis(mx, my, mz)
         k = which[n]
@@ -269,12 +269,13 @@ def align_level(
     ok: NDArray[np.bool_],
     limit: float,
 ) -> NDArray[np.float64]:
-    """One pyramid level for N points; updates bearings (N, 3) and ok (N,) in place and returns the ZNCC (N,).
+    """Align N templates on one pyramid level: updates bearings (N, 3) and ok (N,) in place, returns the ZNCC (N,).
 
-    image (F, H, W): the level's faces; valid (F, H0, W0): of level 0. stored (N, 16, 16): the level's templates;
-    anchors (N, 3): their bearings; rho (N,): inverse distance there; motion (K, 4, 4): anchor keyframe to current
-    camera, picked by which (N,). bearings come in as the prediction and leave as the measurement.
-    limit: largest shift, in this level's pixels. Points are independent, so halves may run on ``pool``.
+    image (F, H, W): the level's faces. valid (F, H0, W0): of level 0. stored (N, 16, 16): the level's templates.
+    anchors (N, 3): their bearings in the anchor keyframes. rho (N,): inverse distances there. motion (K, 4, 4): from
+    each anchor keyframe to the current camera; which (N,) says each point's keyframe. bearings: the prediction on
+    input, the measurement on output. limit: largest shift in this level's pixels. The two halves of the points run
+    in parallel on ``pool``.
     """
     score = np.zeros(len(anchors))
     R, t = np.ascontiguousarray(motion[:, :3, :3]), np.ascontiguousarray(motion[:, :3, 3])

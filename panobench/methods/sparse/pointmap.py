@@ -1,4 +1,4 @@
-"""The map: points as growing arrays, keyframes with what they saw, and the record of every tracked frame."""
+"""The map: points in growing arrays, keyframes with their observations, and a record of every tracked frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CANDIDATE, ACTIVE, DEAD = 0, 1, 2
 
 @dataclass
 class Keyframe:
-    """A frame the map hangs on: T_cw (4, 4), the points it saw (n,) and their unit bearings (n, 3)."""
+    """A keyframe: its pose T_cw (4, 4), the points it saw (n,) and their unit bearings (n, 3)."""
 
     number: int
     frame: int
@@ -26,13 +26,13 @@ class Keyframe:
     bearings: Array
 
     def drop(self, lost: NDArray[np.bool_]) -> None:
-        """Forget observations where ``lost`` (n,) is True."""
+        """Remove the observations where ``lost`` (n,) is True."""
         self.points, self.bearings = self.points[~lost], self.bearings[~lost]
 
 
 @dataclass
 class FrameRecord:
-    """A tracked frame: its pose relative to a keyframe, and its measurements for a last refinement."""
+    """A tracked frame: its pose relative to a keyframe, and its measurements for the final refinement."""
 
     index: int
     time: float
@@ -45,21 +45,21 @@ class FrameRecord:
 _FIELDS: dict[str, tuple[tuple[int, ...], Any]] = {
     "position": ((3,), np.float64),  # world
     "state": ((), np.int8),
-    "anchor": ((), np.int64),  # keyframe whose image the template is from
+    "anchor": ((), np.int64),  # keyframe that the template was cut from
     "anchor_bearing": ((3,), np.float64),
-    "bearing": ((3,), np.float64),  # last measurement, in that frame's camera
-    "last_seen": ((), np.int64),  # frame of it
+    "bearing": ((3,), np.float64),  # last measurement, in the camera of the frame last_seen
+    "last_seen": ((), np.int64),
     "visible": ((), np.int32),
     "found": ((), np.int32),
-    "misses": ((), np.int32),  # failures in a row
-    "parallax": ((), np.float64),  # largest angle seen so far, radians
+    "misses": ((), np.int32),  # frames in a row in which it was not found
+    "parallax": ((), np.float64),  # largest so far, radians
     "descriptor": ((32,), np.uint8),  # of the template
 }
 
 
 @dataclass
 class PointMap:
-    """Points in parallel arrays with spare room; views of the used part are properties."""
+    """Points in parallel arrays with spare capacity; attributes are views of the used part."""
 
     levels: int
     size: int = 0
@@ -78,7 +78,7 @@ class PointMap:
         return arrays[name][: self.size]
 
     def add(self, count: int, **values: Any) -> NDArray[np.int64]:
-        """Append ``count`` points with these fields (others zero); returns their indices."""
+        """Append ``count`` points with these fields, all others zero. Returns their indices."""
         new = self.size + count
         for name, array in self._arrays.items():
             if new > len(array):
@@ -105,7 +105,7 @@ class PointMap:
         return np.asarray(-np.einsum("kji,kj->ki", T[:, :3, :3], T[:, :3, 3]))
 
     def observation_counts(self) -> NDArray[np.int64]:
-        """Keyframes seeing each point (N,)."""
+        """How many keyframes see each point (N,)."""
         counts = np.zeros(self.size, np.int64)
         for k in self.keyframes:
             np.add.at(counts, k.points, 1)

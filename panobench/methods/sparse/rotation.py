@@ -1,7 +1,7 @@
-"""Rotation between two frames from small blurred images alone: the guess when there is no motion to extrapolate.
+"""Rotation between two frames from small blurred images: a prior for tracking that needs no motion model.
 
-Inverse-compositional Gauss-Newton on SO(3) over all pixels of the coarsest faces (after the small blurry images of
-Klein & Murray, "Improving the agility of keyframe-based SLAM", ECCV 2008, here on the whole sphere).
+Inverse-compositional Gauss-Newton on SO(3) over all pixels of the coarsest faces. Small blurry images are used as in
+Klein & Murray, "Improving the agility of keyframe-based SLAM" (ECCV 2008), here on the whole sphere.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, so3_exp
-from panobench.methods.sparse.faces import FaceRig
+from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.patches import _best_face, _bilinear, _to_face
 
 Array = NDArray[np.float64]
 
-#: Grey levels at which a residual starts to count less.
+#: Residual from which the Huber loss is linear, grey levels.
 HUBER = 8.0
-#: Pixels per radian aimed at: at fifteen, a turn of ten degrees is under three pixels.
+#: Pixels per radian of the small images. At fifteen, a rotation by ten degrees is less than three pixels.
 RESOLUTION = 15.0
 
 
 def _halve(image: NDArray[np.float32], times: int) -> NDArray[np.float32]:
-    """Means of 2^times x 2^times pixels; what does not fill a block at the right and lower edge is left out."""
+    """Means of 2^times x 2^times pixels. Incomplete blocks at the right and lower edge are left out."""
     size = 1 << times
     h, w = image.shape[0] // size, image.shape[1] // size
     blocks = image[: h * size, : w * size].reshape(h, size, w, size)
@@ -33,7 +33,7 @@ def _halve(image: NDArray[np.float32], times: int) -> NDArray[np.float32]:
 
 @njit(cache=True, nogil=True)
 def _normal_equations(image, valid, R_fc, K, scale, R, rays, values, J, H, g):  # type: ignore[no-untyped-def]
-    """Adds J^T w J and J^T w r over the pixels; returns the mean loss of those seen, and how many."""
+    """Adds J^T w J to H and J^T w r to g. Returns the mean loss of the visible pixels, and their number."""
     loss, seen = 0.0, 0
     h, w = valid.shape[1], valid.shape[2]
     for n in range(len(rays)):
@@ -59,28 +59,28 @@ def _normal_equations(image, valid, R_fc, K, scale, R, rays, values, J, H, g):  
 
 
 class RotationFinder:
-    """Remembers the two last frames as small images; ``rotation`` relates them when somebody asks."""
+    """Keeps the last two frames as small images. ``rotation`` is computed only when it is called."""
 
-    def __init__(self, rig: FaceRig, levels: int) -> None:
-        self.rig = rig
+    def __init__(self, face_set: FaceSet, levels: int) -> None:
+        self.face_set = face_set
         self.top = levels - 1
-        self.level = max(self.top, round(np.log2(rig.focal / RESOLUTION)))
+        self.level = max(self.top, round(np.log2(face_set.focal / RESOLUTION)))
         self.scale = 1.0 / (1 << self.level)
-        self.size = (rig.size[0] >> self.level, rig.size[1] >> self.level)
+        self.size = (face_set.size[0] >> self.level, face_set.size[1] >> self.level)
         u, v = np.meshgrid(np.arange(self.size[1]) + 0.5, np.arange(self.size[0]) + 0.5)
         pixels = np.column_stack([u.ravel(), v.ravel()]) / self.scale
-        self.index = [np.flatnonzero(_halve(c.astype(np.float32), self.level).ravel() > 0.5) for c in rig.core]
-        self.rays = np.concatenate([rig.rays(f, pixels[i]) for f, i in enumerate(self.index)])
+        self.index = [np.flatnonzero(_halve(c.astype(np.float32), self.level).ravel() > 0.5) for c in face_set.core]
+        self.rays = np.concatenate([face_set.rays(f, pixels[i]) for f, i in enumerate(self.index)])
         self._last: NDArray[np.float32] | None = None
         self._before: NDArray[np.float32] | None = None
 
     def push(self, pyramid: list[NDArray[np.uint8]]) -> None:
-        """The next frame."""
+        """Add the next frame."""
         self._before = self._last
         self._last = np.stack([self._small(f) for f in pyramid[self.top]])
 
     def rotation(self) -> Array:
-        """R (3, 3) taking rays of the frame before to the last one's; the identity when it cannot tell."""
+        """R (3, 3) that takes rays of the frame before to the last one. The identity without two frames."""
         if self._before is None or self._last is None or len(self.rays) == 0:
             return np.eye(3)
         values = np.concatenate([f.ravel()[i] for f, i in zip(self._before, self.index)]).astype(np.float64)
@@ -91,17 +91,17 @@ class RotationFinder:
         return np.asarray(cv2.GaussianBlur(small, (0, 0), 1.0), dtype=np.float32)
 
     def _jacobian(self, faces: NDArray[np.float32]) -> Array:
-        """d value / d w for rays turned by exp(w), (N, 3)."""
-        fx, fy = self.rig.intrinsics[:2] * self.scale
+        """d(value) / d(w) (N, 3) for rays rotated by exp(w)."""
+        fx, fy = self.face_set.intrinsics[:2] * self.scale
         parts, start = [], 0
         for f, index in enumerate(self.index):
             gv, gu = np.gradient(faces[f].astype(np.float64))
             rays = self.rays[start : start + len(index)]
             start += len(index)
-            p = rays @ self.rig.R_fc[f].T
+            p = rays @ self.face_set.R_fc[f].T
             x, y, z = p.T
             a, b = gu.ravel()[index] * fx / z, gv.ravel()[index] * fy / z
-            along = np.column_stack([a, b, -(a * x + b * y) / z]) @ self.rig.R_fc[f]
+            along = np.column_stack([a, b, -(a * x + b * y) / z]) @ self.face_set.R_fc[f]
             parts.append(np.cross(rays, along))
         return np.concatenate(parts)
 
@@ -109,9 +109,9 @@ class RotationFinder:
         R, best, best_loss = np.eye(3), np.eye(3), np.inf
         for _ in range(15):
             H, g = np.zeros((3, 3)), np.zeros(3)
-            rig = self.rig
+            face_set = self.face_set
             loss, seen = _normal_equations(
-                faces, rig.valid, rig.R_fc, rig.intrinsics, self.scale, R, self.rays, values, J, H, g
+                faces, face_set.valid, face_set.R_fc, face_set.intrinsics, self.scale, R, self.rays, values, J, H, g
             )
             if seen < 0.3 * len(self.rays) or loss >= best_loss:
                 break

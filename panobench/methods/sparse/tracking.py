@@ -1,4 +1,4 @@
-"""Frame-to-map tracking: predict, align patches coarse to fine, solve the pose."""
+"""Frame-to-map tracking: prediction, patch alignment from coarse to fine, and pose optimisation."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 from panobench.geometry import invert_pose
 from panobench.methods.sparse.adjust import pose_errors, solve_pose
 from panobench.methods.sparse.config import SparseConfig
-from panobench.methods.sparse.faces import FaceRig
+from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.patches import align_level
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, PointMap
 
 Array = NDArray[np.float64]
 Pyramid = list[NDArray[np.uint8]]
 
-#: Largest shift per level, in that level's pixels, coarsest first; the finest only polishes.
+#: Largest shift per level in that level's pixels, coarsest level first.
 LIMITS = (8.0, 4.0, 4.0, 3.0)
-#: Least share of the aligned patches that must agree on the pose.
-AGREEING = 0.6
+#: Least share of the aligned patches that must be inliers of the pose.
+MIN_INLIER_SHARE = 0.6
 #: Most points aligned per frame.
-BUDGET = 1200
+MAX_ALIGNED = 1200
 
 
 @dataclass
 class Tracked:
-    """Pose and measurements of one frame; ``points`` are the inliers, ``candidates`` still without a depth."""
+    """Pose and measurements of a frame. ``points`` are the inliers, ``candidates`` have no depth yet."""
 
     T_cw: Array
     points: NDArray[np.int64]
@@ -40,16 +40,16 @@ class Tracked:
 
 
 def predict(T_cw: Array, positions: Array) -> Array:
-    """Unit bearings (N, 3) of world points."""
+    """Unit bearings (N, 3) of world points (N, 3)."""
     p = positions @ T_cw[:3, :3].T + T_cw[:3, 3]
     return np.asarray(p / np.maximum(np.linalg.norm(p, axis=1, keepdims=True), 1e-12))
 
 
 @dataclass
 class Aligner:
-    """Aligns map points to one frame's faces."""
+    """Aligns the templates of map points to a frame's faces."""
 
-    rig: FaceRig
+    face_set: FaceSet
     config: SparseConfig
     map: PointMap
     pool: Executor | None = None
@@ -63,16 +63,16 @@ class Aligner:
         ok: NDArray[np.bool_],
         level: int,
     ) -> Array:
-        """One level for map points, in place on bearings and ok; returns the ZNCC (N,)."""
+        """Align on one level: updates bearings and ok in place, returns the ZNCC (N,)."""
         m = self.map
         return align_level(
             self.pool,
             pyramid[level],
-            self.rig.valid,
+            self.face_set.valid,
             level,
-            self.rig.R_fc,
-            self.rig.intrinsics,
-            self.rig.focal,
+            self.face_set.R_fc,
+            self.face_set.intrinsics,
+            self.face_set.focal,
             m.template[points, level],
             m.anchor_bearing[points],
             m.inverse_distance(points),
@@ -85,36 +85,36 @@ class Aligner:
 
 
 def choose_points(
-    m: PointMap, rig: FaceRig, T_cw: Array, frame: int, only: NDArray[np.int64] | None = None
+    m: PointMap, face_set: FaceSet, T_cw: Array, frame: int, only: NDArray[np.int64] | None = None
 ) -> NDArray[np.int64]:
-    """Points worth trying: alive, projecting into a face, the recently seen first."""
+    """The points to align: not dead, in view, and those seen most recently if there are too many."""
     alive = np.flatnonzero(m.state != DEAD) if only is None else only[m.state[only] != DEAD]
     stale = (m.visible[alive] > 20) & (m.found[alive] < 0.15 * m.visible[alive])
     alive = alive[~stale]
     if len(alive) == 0:
         return alive
     b = predict(T_cw, m.position[alive])
-    alive = alive[in_view(rig, b)]
-    if len(alive) <= BUDGET:
+    alive = alive[in_view(face_set, b)]
+    if len(alive) <= MAX_ALIGNED:
         return alive
     age = frame - m.last_seen[alive]
-    # Recent ones in order of age; ties (all seen in the last frame) by how reliably they are found.
+    # By how recently they were seen; of those seen in the same frame, the ones found most reliably.
     quality = m.found[alive] / np.maximum(m.visible[alive], 1)
     order = np.lexsort((-quality, age))
-    return np.sort(alive[order[:BUDGET]])
+    return np.sort(alive[order[:MAX_ALIGNED]])
 
 
-def in_view(rig: FaceRig, bearings: Array) -> NDArray[np.bool_]:
-    """(N,): the bearing falls on a valid pixel of its nearest face."""
-    face = np.argmax(bearings @ rig.R_fc[:, 2].T, axis=1)
-    p = np.einsum("nij,nj->ni", rig.R_fc[face], bearings)
-    fx, fy, cx, cy = rig.intrinsics
+def in_view(face_set: FaceSet, bearings: Array) -> NDArray[np.bool_]:
+    """(N,): whether a bearing projects to a valid pixel of its nearest face."""
+    face = np.argmax(bearings @ face_set.R_fc[:, 2].T, axis=1)
+    p = np.einsum("nij,nj->ni", face_set.R_fc[face], bearings)
+    fx, fy, cx, cy = face_set.intrinsics
     z = np.maximum(p[:, 2], 1e-6)
     u, v = fx * p[:, 0] / z + cx, fy * p[:, 1] / z + cy
-    h, w = rig.size
+    h, w = face_set.size
     inside = (p[:, 2] > 0.1) & (u > 1) & (v > 1) & (u < w - 1) & (v < h - 1)
     out = np.zeros(len(bearings), bool)
-    out[inside] = rig.valid[face[inside], v[inside].astype(int), u[inside].astype(int)]
+    out[inside] = face_set.valid[face[inside], v[inside].astype(int), u[inside].astype(int)]
     return out
 
 
@@ -126,12 +126,12 @@ def track_frame(
     min_inliers: int,
     only: NDArray[np.int64] | None = None,
 ) -> Tracked | None:
-    """Pose of a frame near ``T_pred``, or None when too few points agree. Updates the points' statistics.
+    """Pose of a frame near ``T_pred``, None with too few inliers. Updates the points' statistics.
 
-    only: points to try (default: the whole map).
+    only: the points to use; by default the whole map.
     """
-    m, rig, config = aligner.map, aligner.rig, aligner.config
-    points = choose_points(m, rig, T_pred, frame, only)
+    m, face_set, config = aligner.map, aligner.face_set, aligner.config
+    points = choose_points(m, face_set, T_pred, frame, only)
     active = m.state[points] == ACTIVE
     if int(active.sum()) < min_inliers:
         return None
@@ -143,14 +143,14 @@ def track_frame(
         score = aligner.run(pyramid, T_pred, points, bearings, ok, top)
         good = ok & active & (score > 0.6)
         if int(good.sum()) >= min_inliers:
-            T = solve_pose(T_pred, m.position[points[good]], bearings[good], rig.focal, 4.0, 12)
-        # Points the coarse level lost start again from the better pose; candidates keep what they measured.
+            T = solve_pose(T_pred, m.position[points[good]], bearings[good], face_set.focal, 4.0, 12)
+        # Points that the coarse level lost are predicted again with the better pose; candidates keep their measurement.
         fresh = predict(T, m.position[points])
         restart = active | ~ok | (score < 0.6)
         bearings[restart] = fresh[restart]
         ok[:] = True
     score = np.zeros(len(points))
-    # The coarse pose leaves a pixel or two: the finest levels are enough.
+    # After the coarse pose, errors are one or two pixels: the finest levels are enough.
     for level in range(min(max(top - 1, 0), 1), -1, -1):
         score = aligner.run(pyramid, T, points, bearings, ok, level)
     ok &= score > config.min_zncc
@@ -158,20 +158,20 @@ def track_frame(
     if len(use) < min_inliers:
         return None
     X, b = m.position[points[use]], bearings[use]
-    T = solve_pose(T, X, b, rig.focal, config.huber_px, 15)
-    error = pose_errors(T, X, b, rig.focal)
+    T = solve_pose(T, X, b, face_set.focal, config.huber_px, 15)
+    error = pose_errors(T, X, b, face_set.focal)
     inlier = error < 3.0 * max(1.0, config.huber_px)
     if int(inlier.sum()) < min_inliers:
         return None
-    T = solve_pose(T, X[inlier], b[inlier], rig.focal, config.huber_px, 10)
-    error = pose_errors(T, X, b, rig.focal)
+    T = solve_pose(T, X[inlier], b[inlier], face_set.focal, config.huber_px, 10)
+    error = pose_errors(T, X, b, face_set.focal)
     inlier = error < 3.0 * max(1.0, config.huber_px)
-    # A wrong pose near the right one also aligns some patches; a right one aligns most of those it can.
-    if int(inlier.sum()) < max(min_inliers, int(AGREEING * len(use))):
+    # A pose that is slightly wrong also aligns some patches; the right one aligns most of them.
+    if int(inlier.sum()) < max(min_inliers, int(MIN_INLIER_SHARE * len(use))):
         return None
     found = use[inlier]
     waiting = np.flatnonzero(ok & (m.state[points] == CANDIDATE))
-    waiting = waiting[_on_epipolar_plane(m, points[waiting], bearings[waiting], T, rig.focal)]
+    waiting = waiting[_on_epipolar_plane(m, points[waiting], bearings[waiting], T, face_set.focal)]
     m.visible[points] += 1
     m.misses[points] += 1
     for index in (found, waiting):
@@ -194,7 +194,7 @@ def track_frame(
 def _on_epipolar_plane(
     m: PointMap, points: NDArray[np.int64], bearings: Array, T_cw: Array, focal: float
 ) -> NDArray[np.bool_]:
-    """Candidates whose measurement agrees with the camera's motion within 2 pixels (or is nearly the epipole)."""
+    """Candidates whose measurement is within 2 pixels of the epipolar plane, or close to the epipole."""
     if len(points) == 0:
         return np.zeros(0, bool)
     rel = T_cw @ invert_pose(m.poses())[m.anchor[points]]
@@ -209,7 +209,7 @@ def _on_epipolar_plane(
 
 
 def update_candidates(m: PointMap, tracked: Tracked) -> None:
-    """Move candidates' assumed positions to where the widest parallax so far puts them."""
+    """Triangulate candidates again if this frame has the largest parallax so far."""
     ids, b = tracked.candidates, tracked.candidate_bearings
     if len(ids) == 0:
         return

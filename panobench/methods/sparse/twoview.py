@@ -1,8 +1,8 @@
-"""Two views of bearing vectors: essential matrix by RANSAC over five-point samples, and the motion it stands for.
+"""Two-view geometry of bearing vectors: essential matrix by five-point RANSAC, and its decomposition.
 
 The five-point problem (Nister, PAMI 2004) is solved in Stewenius' form (Stewenius, Engels, Nister 2006): the
 null space of five epipolar constraints, ten cubic constraints, and the eigenvectors of a 10x10 action matrix.
-Nothing here needs a positive z, so it serves panoramas and pinhole images alike, and planar scenes too.
+Nothing needs a positive z, so it works for panoramas and for pinhole images, and for planar scenes as well.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TwoView:
-    """x2 = R x1 + t with |t| = 1; inliers (N,) bool; points (N, 3) in the first camera's frame (NaN for outliers)."""
+    """x2 = R x1 + t with |t| = 1; inliers (N,); points (N, 3) in the first camera's frame, NaN for outliers."""
 
     R: Array
     t: Array
@@ -29,7 +29,7 @@ class TwoView:
 
 @lru_cache(maxsize=1)
 def _monomials() -> tuple[tuple[tuple[int, ...], ...], dict[tuple[int, ...], int]]:
-    """Cubic monomials of (x, y, z, 1) by index 0..3: the ten of degree three first, those of lower degree last."""
+    """Cubic monomials of (x, y, z, 1) by indices 0..3: first the ten of degree three, then those of lower degree."""
     names = list(combinations_with_replacement(range(4), 3))
     high = [m for m in names if 3 not in m]
     low = [m for m in names if 3 in m]
@@ -39,7 +39,7 @@ def _monomials() -> tuple[tuple[tuple[int, ...], ...], dict[tuple[int, ...], int
 
 @lru_cache(maxsize=1)
 def _cubic_index() -> NDArray[np.int64]:
-    """(4, 4, 4) -> index of the monomial x_i x_j x_k."""
+    """Index (4, 4, 4) of the monomial x_i x_j x_k."""
     _, where = _monomials()
     index = np.empty((4, 4, 4), np.int64)
     for i in range(4):
@@ -50,7 +50,7 @@ def _cubic_index() -> NDArray[np.int64]:
 
 
 def five_point(b1: Array, b2: Array) -> list[Array]:
-    """Essential matrices E (b2^T E b1 = 0) through five pairs of bearings (5, 3)."""
+    """Essential matrices E with b2^T E b1 = 0 for five pairs of bearings (5, 3)."""
     A = np.einsum("ni,nj->nij", b2, b1).reshape(len(b1), 9)
     N = np.linalg.svd(A)[2][-4:].reshape(4, 3, 3)
     # E = x N0 + y N1 + z N2 + N3; the constraints 2 E E^T E - tr(E E^T) E = 0 and det E = 0 as cubics.
@@ -66,7 +66,7 @@ def five_point(b1: Array, b2: Array) -> list[Array]:
         B = np.linalg.solve(M[:, :10], M[:, 10:])
     except np.linalg.LinAlgError:
         return []
-    # Multiplication by x maps the low monomials to cubics (-B) or to other low ones.
+    # Multiplication by x maps low monomials to cubic ones (-B) or to other low ones.
     ordered, where = _monomials()
     action = np.zeros((10, 10))
     for r, m in enumerate(ordered[10:]):
@@ -97,7 +97,7 @@ for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
 
 
 def epipolar_angle(E: Array, b1: Array, b2: Array) -> Array:
-    """Angle (N,) of each pair off its epipolar planes, the larger of both views, radians."""
+    """Angle (N,) of each pair to its epipolar planes, the larger one of both views, radians."""
     l2, l1 = b1 @ E.T, b2 @ E
     s = np.abs(np.sum(b2 * l2, axis=1))
     e2 = s / np.maximum(np.linalg.norm(l2, axis=1), 1e-12)
@@ -106,9 +106,9 @@ def epipolar_angle(E: Array, b1: Array, b2: Array) -> Array:
 
 
 def triangulate(b1: Array, b2: Array, R: Array, t: Array) -> tuple[Array, Array, Array]:
-    """Midpoint of the rays (N, 3) with x2 = R x1 + t: points in the first frame and both ray lengths (N,).
+    """Midpoints (N, 3) of the rays in the first frame, and both ray lengths (N,); x2 = R x1 + t.
 
-    Near-parallel rays give huge or negative lengths; the caller judges.
+    Nearly parallel rays give huge or negative lengths, which the caller has to check.
     """
     d2 = b2 @ R  # second rays in the first frame
     c2 = -R.T @ t
@@ -122,7 +122,7 @@ def triangulate(b1: Array, b2: Array, R: Array, t: Array) -> tuple[Array, Array,
 
 
 def decompose(E: Array) -> list[tuple[Array, Array]]:
-    """The four (R, t) of an essential matrix."""
+    """The four motions (R, t) of an essential matrix."""
     U, _, Vt = np.linalg.svd(E)
     U = U * np.sign(np.linalg.det(U))
     Vt = Vt * np.sign(np.linalg.det(Vt))
@@ -133,9 +133,9 @@ def decompose(E: Array) -> list[tuple[Array, Array]]:
 def essential_ransac(
     b1: Array, b2: Array, threshold: float, rng: np.random.Generator, iterations: int = 150, min_angle: float = 0.0
 ) -> TwoView | None:
-    """Motion between two sets of matched bearings (N, 3); threshold in radians. None without a clear answer.
+    """Motion between two sets of matched bearings (N, 3). None if the result is ambiguous.
 
-    min_angle: rays closer than this to parallel (radians, after rotation) do not vote on which side a point lies.
+    threshold: of inliers, radians. min_angle: rays with less parallax (radians) do not vote on the sign of depth.
     """
     n = len(b1)
     if n < 12:
