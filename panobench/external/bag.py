@@ -1,4 +1,4 @@
-"""A ROS 1 bag of grey images and inertial samples, for programs that listen to ROS topics."""
+"""ROS 1 bags of grey images and inertial samples, for programs that subscribe to ROS topics."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from panobench.datasets.base import FrameSequence
 from panobench.types import Imu
 
 IMAGE, IMU = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
-#: ROS takes a time of zero for "not set": recordings start here, and answers are moved back.
+#: Bags start at this time, because in ROS a time of zero means "not set". Answers are shifted back.
 BAG_START_S = 1000
 
 
 def write_bag(path: Path, sequence: FrameSequence, imu: Imu, image_topic: str, imu_topic: str) -> float:
-    """Write the bag and return the seconds to add to its times to get the sequence's.
+    """Write a bag of mono8 images and inertial samples in the order of their times.
 
-    Images are mono8; samples are written in time order with them. Times are shifted so that the first is BAG_START_S.
+    Times are shifted so that the first one is BAG_START_S. Returns the seconds to add to the bag's times to get the
+    sequence's.
     """
     import cv2
     from rosbags.rosbag1 import Writer
@@ -50,6 +51,8 @@ def write_bag(path: Path, sequence: FrameSequence, imu: Imu, image_topic: str, i
 
 
 class _Messages:
+    """Makes ROS messages; ``shift`` is added to all times."""
+
     def __init__(self, types: Any, shift: float) -> None:
         self._types, self._shift = types, shift
 

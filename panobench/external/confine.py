@@ -1,7 +1,7 @@
-"""Keep a program from writing outside given folders, by Landlock (Linux 5.13 and later), then start it.
+"""Sandbox: start a program that can write only below given folders, by Landlock (Linux 5.13 and later).
 
-Run as a script: ``python confine.py DIR [DIR ...] -- PROGRAM [ARGUMENT ...]``. Standard library only, so that
-it starts in milliseconds under any interpreter. Interface: the kernel's Documentation/userspace-api/landlock.rst.
+Run as a script: ``python confine.py DIR [DIR ...] -- PROGRAM [ARGUMENT ...]``. It needs only the standard library,
+so that it starts in milliseconds. Interface: the kernel's Documentation/userspace-api/landlock.rst.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import ctypes
 import os
 import sys
 
-_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446  # the same on every architecture
+_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446  # system calls, the same on every architecture
 _RULE_PATH_BENEATH = 1
 _PR_SET_NO_NEW_PRIVS = 38
 _WRITE_FILE = 1 << 1
-_CHANGE_TREE = sum(1 << bit for bit in range(4, 13))  # remove and make files, folders, links, sockets, devices
-_REFER, _TRUNCATE = 1 << 13, 1 << 14  # from interface versions 2 and 3
-#: Where every program may write: terminals and GPUs, shared memory, its own process entries.
+_CHANGE_TREE = sum(1 << bit for bit in range(4, 13))  # create and remove files, folders, links, sockets and devices
+_REFER, _TRUNCATE = 1 << 13, 1 << 14  # since interface versions 2 and 3
+#: Every program may write to devices (terminals, GPUs, shared memory) and to its own process entries.
 _SYSTEM = ("/dev", "/proc")
 FAILED = 125
 
@@ -37,14 +37,14 @@ def _syscall(*arguments: object) -> int:
 
 
 def landlock_version() -> int:
-    """The kernel's Landlock interface version, 0 if it has none or has it switched off."""
+    """Version of the kernel's Landlock interface, 0 without one or if it is switched off."""
     if not sys.platform.startswith("linux"):
         return 0
     return max(0, _syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), ctypes.c_uint32(1)))
 
 
 def confine(writable: list[str]) -> None:
-    """From now on this process and its children write only below ``writable``. Raises OSError if that fails."""
+    """Let this process and its children write only below ``writable`` from now on. Raises OSError if that fails."""
     version = landlock_version()
     if version == 0:
         raise OSError("the kernel has no Landlock")

@@ -1,4 +1,4 @@
-"""Somebody's trajectory, and renders if there are any, in the place of a method: read, matched to frames, never run."""
+"""Imported results: a trajectory, and renders if there are any, in the place of a method's answer."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def read_imported(path: Path, options: ImportOptions, times: NDArray[np.float64]
 
 @dataclass
 class ImportedTrajectory(BatchMethod):
-    """Answers with a file's poses; ``render`` gives the stored picture of the frame at that pose."""
+    """Answers with the poses of a file. ``render`` gives the stored render of the frame at that pose."""
 
     path: Path
     options: ImportOptions = field(default_factory=ImportOptions)
@@ -114,14 +114,14 @@ class ImportedTrajectory(BatchMethod):
         return Estimate(trajectory, metric=self.options.metric, extra=extra)
 
     def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
-        """The render of the frame at the place of ``T_wc``, turned and cut to ``camera``; None elsewhere."""
+        """The render of the frame at the position of ``T_wc``, reprojected to ``camera``; None at other positions."""
         if not self._files:
             return None
         distance = np.linalg.norm(self._poses[:, :3, 3] - T_wc[:3, 3], axis=1)
         near = np.flatnonzero(distance <= 1e-9 * (1 + np.abs(T_wc[:3, 3]).max()))
         if not len(near):
             return None
-        # of frames at one place, the one turned least against the view
+        # of frames at the same position, the one with the smallest rotation to the view
         turn = np.einsum("nij,ij->n", self._poses[near, :3, :3], T_wc[:3, :3])
         k = int(near[int(np.argmax(turn))])
         image = _read_render(self._files[k], self._camera)
@@ -135,7 +135,7 @@ class ImportedTrajectory(BatchMethod):
         return self._cut(camera, R, image)
 
     def _cut(self, camera: Camera, R: NDArray[np.float64], image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """As the reference views are cut out of the frames, so that both are blurred alike."""
+        """Reproject a render as the reference views are cut out of the frames, so that both are blurred alike."""
         from panobench.cameras.reproject import Reprojector
         from panobench.metrics.perspective import enlarge
 

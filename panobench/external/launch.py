@@ -1,7 +1,7 @@
-"""Where a program runs: on this machine, in a conda or virtual environment, or in a docker or apptainer container.
+"""Where a program runs: locally, in a virtual or conda environment, or in a docker or apptainer container.
 
-Written as ``local``, ``venv:FOLDER``, ``conda:NAME`` (or ``conda:/PREFIX``), ``docker:IMAGE``, ``apptainer:IMAGE``.
-Folders are mounted at their own paths, so a command line is the same everywhere.
+A place is written as ``local``, ``venv:FOLDER``, ``conda:NAME`` (or ``conda:/PREFIX``), ``docker:IMAGE`` or
+``apptainer:IMAGE``. Containers mount folders at the same paths, so that the command line is the same everywhere.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ KINDS = ("local", "venv", "conda", "docker", "apptainer")
 
 @dataclass(frozen=True)
 class Launch:
-    """A command line ready to be started, the environment for it, and how to stop what it started elsewhere."""
+    """A command line and its environment. ``stop`` ends what runs outside the process group (a container)."""
 
     argv: list[str]
     environment: dict[str, str]
@@ -33,18 +33,18 @@ class Launch:
 
 @dataclass(frozen=True)
 class Place:
-    """kind: one of ``KINDS``. target: the environment's folder or name, or the image."""
+    """kind: one of ``KINDS``. target: the folder or name of the environment, or the image."""
 
     kind: str
     target: str = ""
 
     @property
     def tool(self) -> str | None:
-        """The program that must be on PATH to get there, or None."""
+        """The program that starts environments or containers of this kind, None if none is needed."""
         return self.kind if self.kind in ("conda", "docker", "apptainer") else None
 
     def problem(self) -> str | None:
-        """None if this place can be reached, else one line why not."""
+        """None if programs can be started there, otherwise one line that says why not."""
         if self.tool is not None and shutil.which(self.tool) is None:
             return f"the program '{self.tool}' is not on PATH, needed for '{self.kind}:{self.target}'"
         if self.kind == "venv" and not (Path(self.target) / "bin" / "python").exists():
@@ -52,7 +52,7 @@ class Place:
         return None
 
     def find(self, program: str) -> str | None:
-        """Full path of a program, or None; inside containers and conda it is taken on trust."""
+        """Full path of a program, or None. Inside conda environments and containers programs are assumed to exist."""
         if self.kind == "local":
             return shutil.which(program)
         if self.kind == "venv":
@@ -67,7 +67,7 @@ class Place:
         reads: tuple[Path, ...] = (),
         cwd: Path | None = None,
     ) -> Launch:
-        """How to start ``argv`` there with ``work`` writable and ``reads`` readable. Raises UnavailableError."""
+        """How to start ``argv`` there, with ``work`` writable and ``reads`` readable. Raises UnavailableError."""
         reason = self.problem()
         if reason is not None:
             raise UnavailableError(reason)
@@ -110,7 +110,7 @@ class Place:
         for mount in mounts:
             command += ["--mount", mount]
         for key, value in variables.items():
-            if key not in ("PATH", "LD_LIBRARY_PATH"):  # the image has its own
+            if key not in ("PATH", "LD_LIBRARY_PATH"):  # the image has its own values
                 command += ["--env", f"{key}={value}"]
 
         def stop() -> None:
@@ -121,7 +121,7 @@ class Place:
 
 
 def parse_place(text: str) -> Place:
-    """``local``, ``venv:...``, ``conda:...``, ``docker:...``, ``apptainer:...``. Raises UsageError."""
+    """Parse ``local``, ``venv:...``, ``conda:...``, ``docker:...`` or ``apptainer:...``. Raises UsageError."""
     kind, _, target = text.partition(":")
     if kind not in KINDS or bool(target) != (kind != "local") or target.startswith("-"):
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Run somebody's program: no shell, its own process group, a clean environment, a time limit and a log."""
+"""Running a program: without a shell, in its own process group, with a clean environment, a time limit and a log."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import psutil
 
-#: Passed on when set; nothing else is, apart from what a job names itself.
+#: Environment variables that are passed on if they are set, beside those that a job or the user names.
 ENVIRONMENT = (
     "PATH",
     "LD_LIBRARY_PATH",
@@ -36,7 +36,7 @@ _POLL_S = 0.02
 
 @dataclass(frozen=True)
 class Finished:
-    """How a program ended. stopped: why it was stopped ("timeout", "log"), None if it ended by itself."""
+    """How a program ended. stopped: why it was stopped ("timeout" or "log"), None if it ended by itself."""
 
     returncode: int
     seconds: float
@@ -44,7 +44,7 @@ class Finished:
 
 
 def clean_environment(work: Path, keep: Iterable[str] = (), extra: Mapping[str, str] | None = None) -> dict[str, str]:
-    """The allow-listed variables that are set; HOME, TMPDIR and caches point below ``work`` unless kept."""
+    """The variables of the allow-list that are set. HOME and TMPDIR point below ``work`` unless they are kept."""
     home, temporary = work / "home", work / "tmp"
     home.mkdir(parents=True, exist_ok=True)
     temporary.mkdir(parents=True, exist_ok=True)
@@ -62,10 +62,10 @@ def run_logged(
     timeout_s: float,
     on_stop: Callable[[], None] | None = None,
 ) -> Finished:
-    """Run ``argv`` with its output in ``log`` and wait. Past ``timeout_s`` its whole process group is ended.
+    """Run ``argv`` with its output in ``log`` and wait. After ``timeout_s`` its whole process group is ended.
 
-    on_stop: called too when it is stopped, for what lives outside the group (a container). An exception here (Ctrl-C)
-    ends the group as well. Raises OSError when the program cannot be started.
+    on_stop: called when the program is stopped, to end what runs outside the group (a container). Ctrl-C ends the
+    group too. Raises OSError if the program cannot be started.
     """
     begin = time.monotonic()
     with log.open("ab") as output:
@@ -96,7 +96,7 @@ def run_logged(
 
 
 def end_group(process: subprocess.Popen[bytes]) -> None:
-    """End a program, its process group and its descendants: ask first, then insist. Returns when they are gone."""
+    """End a program, its process group and its descendants by SIGTERM, then by SIGKILL. Waits for the program."""
     others: list[psutil.Process] = []
     with contextlib.suppress(psutil.Error):
         others = psutil.Process(process.pid).children(recursive=True)
@@ -105,7 +105,7 @@ def end_group(process: subprocess.Popen[bytes]) -> None:
             _signal(process.pid, others, signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(GRACE_S)
-    finally:  # also when Ctrl-C comes a second time
+    finally:  # also at a second Ctrl-C
         _signal(process.pid, others, signal.SIGKILL)
         process.wait()
 
@@ -113,18 +113,18 @@ def end_group(process: subprocess.Popen[bytes]) -> None:
 def _signal(group: int, others: list[psutil.Process], number: signal.Signals) -> None:
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(group, number)
-    for other in others:  # those that left the group
+    for other in others:  # descendants that have left the group
         with contextlib.suppress(psutil.Error):
             other.send_signal(number)
 
 
 def log_tail(log: Path, lines: int = 6, characters: int = 500) -> str:
-    """The last lines of a log as one printable line, joined by " | "; "" if there is nothing."""
+    """The last lines of a log as one printable line, joined by " | "; empty without any."""
     return " | ".join(last_lines(log, lines))[-characters:]
 
 
 def last_lines(log: Path, lines: int) -> list[str]:
-    """Up to ``lines`` non-empty lines from the last 16 kB of a log, without what cannot be printed."""
+    """Up to ``lines`` non-empty lines from the last 16 kB of a log, without unprintable characters."""
     try:
         with log.open("rb") as file:
             file.seek(0, os.SEEK_END)

@@ -1,4 +1,4 @@
-"""Reading the trajectory a program wrote, and matching it to the frames it was given."""
+"""Reading the trajectory that a program wrote, and matching it to the frames that it was given."""
 
 from __future__ import annotations
 
@@ -20,13 +20,12 @@ Kind = Literal["tum", "tum-ns", "kitti", "euroc", "csv"]
 
 @dataclass(frozen=True)
 class TrajectoryFormat:
-    """How a program writes its answer.
+    """The format of a program's trajectory.
 
     kind: "tum"; "tum-ns", TUM with times in nanoseconds (ORB-SLAM3); "kitti", one pose per frame; "euroc", CSV with
-    times in nanoseconds and qw first, if no header says otherwise; "csv", a table by its header. inverse: it writes
-    world-to-camera. time_offset: added to its times, seconds.
-    T_body_camera: poses are of a body; the camera's is T_world_body T_body_camera.
-    index_rate: its times are frame index / rate (programs that take no times).
+    times in nanoseconds and qw first, unless a header says otherwise; "csv", a table with a header. inverse: poses are
+    world-to-camera. time_offset: seconds to add to the times. T_body_camera: poses are of a body; the camera's pose is
+    T_world_body T_body_camera. index_rate: times are frame index / rate, for programs that take no times.
     """
 
     kind: Kind = "tum"
@@ -37,7 +36,7 @@ class TrajectoryFormat:
 
 
 def _read_tum_ns(path: Path, unit_s: float | None = None) -> Trajectory:
-    """ORB-SLAM3's files: it writes the frame that started the map twice, the second line counts."""
+    """Read ORB-SLAM3's files. They hold the frame that started the map twice; the second line counts."""
     table, lines = io.read_table(path, 8, "time in ns, x y z qx qy qz qw", exact=True)
     last = np.append(np.diff(table[:, 0]) != 0, True)[: len(table)]
     table, lines = table[last], [line for line, keep in zip(lines, last) if keep]
@@ -56,9 +55,10 @@ READERS: dict[str, Callable[..., Trajectory]] = {
 
 
 def read_answer(path: Path, form: TrajectoryFormat, times: NDArray[np.float64]) -> Trajectory:
-    """The poses at the input ``times`` they belong to; empty if the program wrote an empty file (it tracked nothing).
+    """The poses, stamped with those of ``times`` that they belong to. Empty if the program wrote an empty file.
 
-    Raises DatasetError: no file, a line that does not parse, a time that belongs to no frame, two for one frame.
+    Raises DatasetError for a missing file, a line that does not parse, a time that belongs to no frame, and two poses
+    of one frame.
     """
     if not path.exists():
         raise DatasetError("the program wrote no such file", path)
@@ -85,9 +85,9 @@ def read_answer(path: Path, form: TrajectoryFormat, times: NDArray[np.float64]) 
 
 
 def match_times(stamps: NDArray[np.float64], times: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Index of the nearest of the increasing ``times`` for each stamp, and which are too far from it to be meant.
+    """For each stamp, the index of the nearest of the increasing ``times``, and whether it is too far away.
 
-    Too far: more than 40% of the smallest interval (programs round their times).
+    Programs round their times: stamps match within 40% of the smallest interval.
     """
     right = np.clip(np.searchsorted(times, stamps), 1, max(1, len(times) - 1))
     right = np.minimum(right, len(times) - 1)
@@ -98,6 +98,6 @@ def match_times(stamps: NDArray[np.float64], times: NDArray[np.float64]) -> tupl
 
 
 def _first_lines(path: Path) -> list[str]:
-    """Up to 64 kB of a file, as stripped lines; a binary file gives something that later fails to parse."""
+    """Stripped lines of the first 64 kB of a file. A binary file gives lines that fail to parse later."""
     with path.open("rb") as file:
         return [line.strip() for line in file.read(65536).decode("utf-8", errors="replace").splitlines()]

@@ -1,4 +1,4 @@
-"""The ORB vocabulary that ORB-SLAM's family needs: the user's file, or one trained here from other images.
+"""The ORB vocabulary that the ORB-SLAM family needs: the user's file, or one that is trained on other images.
 
 Galvez-Lopez and Tardos, "Bags of binary words for fast place recognition in image sequences" (2012): a tree of binary
 descriptors by hierarchical k-medians under the Hamming distance, leaves weighted by log(images / images with the word).
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.errors import InputError, UnavailableError
 
-#: Names the vocabulary for all adapters that need one.
+#: Environment variable with the vocabulary for all adapters that need one.
 VOCABULARY_VARIABLE = "PANOBENCH_ORB_VOCABULARY"
 BRANCHES, LEVELS = 10, 5
 ROOMS = ("room1", "room2", "room3", "room4", "room5")
@@ -28,7 +28,7 @@ Descriptors = NDArray[np.uint8]
 
 
 def named_vocabulary(option: str) -> Path | None:
-    """The file of the option or the environment variable, or None. Raises InputError if it is no vocabulary."""
+    """The file that the option or the environment variable names, or None. Raises InputError if it is no vocabulary."""
     name = option or os.environ.get(VOCABULARY_VARIABLE, "")
     if not name:
         return None
@@ -49,9 +49,9 @@ def _silent(_: str) -> None:
 
 
 def find_vocabulary(option: str, sequence: FrameSequence, log: Callable[[str], None] = _silent) -> Path:
-    """The named vocabulary, or one trained on built-in rooms that ``sequence`` is not, kept in the cache.
+    """The named vocabulary, or one that is trained on built-in rooms other than ``sequence`` and kept in the cache.
 
-    Raises InputError for a named file that is none, UnavailableError when none is named and the rooms are not there.
+    Raises InputError for a named file that is no vocabulary, UnavailableError if none is named and there are no rooms.
     """
     named = named_vocabulary(option)
     if named is not None:
@@ -71,14 +71,14 @@ def find_vocabulary(option: str, sequence: FrameSequence, log: Callable[[str], N
 
 
 def cache_folder() -> Path:
-    """Where trained vocabularies are kept."""
+    """The folder in which trained vocabularies are kept."""
     from panobench.rooms.cache import cache_root
 
     return cache_root() / "orb-vocabulary"
 
 
 def training_rooms(sequence: FrameSequence) -> list[str]:
-    """The built-in rooms but the one that ``sequence`` shows. Raises UnavailableError if none is left."""
+    """The built-in rooms without the one that ``sequence`` shows. Raises UnavailableError if there is none."""
     names = _rooms().sequences()
     own = sequence.name if sequence.dataset == "rooms" else ""
     rooms = [name for name in ROOMS if name in names and not own.startswith(name)]
@@ -98,7 +98,7 @@ def _rooms() -> Dataset:
 
 
 def room_images(rooms: list[str]) -> Iterator[NDArray[np.uint8]]:
-    """Panoramas of built-in rooms, without the stretched rows near the poles."""
+    """Panoramas of built-in rooms without the stretched rows near the poles."""
     for room in rooms:
         sequence = _rooms().open(room, width=TRAINING_WIDTH)
         for i in range(0, min(TRAINING_FRAMES, len(sequence)), TRAINING_STEP):
@@ -107,7 +107,7 @@ def room_images(rooms: list[str]) -> Iterator[NDArray[np.uint8]]:
 
 
 def orb_descriptors(images: Iterable[NDArray[np.uint8]]) -> list[Descriptors]:
-    """ORB descriptors (N, 32) per image."""
+    """ORB descriptors (N, 32) of each image."""
     import cv2
 
     orb = cv2.ORB_create(FEATURES, fastThreshold=7)  # type: ignore[attr-defined]
@@ -121,7 +121,7 @@ def orb_descriptors(images: Iterable[NDArray[np.uint8]]) -> list[Descriptors]:
 
 @dataclass
 class Vocabulary:
-    """Nodes but the root, parents before children: parent ids, descriptors (N, 32), leaf flags and weights."""
+    """A vocabulary tree: parent, descriptor (32,), leaf flag and weight of each node but the root, parents first."""
 
     branches: int
     levels: int
@@ -132,10 +132,11 @@ class Vocabulary:
 
     @property
     def words(self) -> int:
+        """How many leaves the tree has."""
         return sum(self.leaf)
 
     def text(self) -> str:
-        """Scoring 0 is the L1 norm, weighting 0 is tf-idf."""
+        """The tree in DBoW2's text format, with L1 scoring (0) and tf-idf weighting (0)."""
         lines = [f"{self.branches} {self.levels} 0 0"]
         for parent, centre, leaf, weight in zip(self.parent, self.centre, self.leaf, self.weight):
             lines.append(f"{parent} {int(leaf)} {' '.join(map(str, centre.tolist()))} {weight:.6g}")
@@ -145,7 +146,7 @@ class Vocabulary:
 def train_vocabulary(
     images: list[Descriptors], branches: int = BRANCHES, levels: int = LEVELS, seed: int = 0
 ) -> Vocabulary:
-    """A vocabulary tree of the images' descriptors. Raises InputError if there are too few of them."""
+    """Train a vocabulary tree on the images' descriptors. Raises InputError if there are too few of them."""
     data = np.concatenate(images) if images else np.zeros((0, 32), np.uint8)
     if len(data) < 2 * branches:
         raise InputError(f"{len(data)} ORB features are too few to train a vocabulary")
@@ -170,7 +171,7 @@ def train_vocabulary(
 
 
 def nearest_descriptors(a: Descriptors, b: Descriptors) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    """For each descriptor of a (N, 32): differing bits to the nearest of b (M, 32), and which it is."""
+    """For each of a (N, 32), the Hamming distance to the nearest of b (M, 32), and its index."""
     import cv2
 
     distance, index = cv2.batchDistance(a, b, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=1)
@@ -178,11 +179,11 @@ def nearest_descriptors(a: Descriptors, b: Descriptors) -> tuple[NDArray[np.int3
 
 
 def k_medians(data: Descriptors, k: int, rng: np.random.Generator) -> tuple[NDArray[np.intp], Descriptors]:
-    """k-medians of descriptors (N, 32): group of each row and centres (k', 32); k' <= k, no group empty.
+    """k-medians of descriptors (N, 32): the cluster of each row, and centres (k', 32) with k' <= k, none empty.
 
-    Seeded as k-means++; at most ten rounds.
+    Initialised as in k-means++, at most ten iterations.
     """
-    if len(data) <= k:  # each its own word, equal ones the same
+    if len(data) <= k:  # each distinct descriptor is a cluster
         centres, groups = np.unique(data, axis=0, return_inverse=True)
         return groups.reshape(-1), centres
     chosen = [int(rng.integers(len(data)))]

@@ -281,7 +281,7 @@ class SparseMethod(OnlineMethod):
 
     def known_poses(self) -> dict[int, Array]:
         """Those of the map with most frames, which ``finish`` answers with."""
-        sessions = [*self.former, *([self.session] if self.session is not None else [])]
+        sessions = [*self.previous, *([self.session] if self.session is not None else [])]
         session = max(sessions, key=lambda s: len(s.records), default=None)
         return {} if session is None else {r.index: invert_pose(session.pose_of(r)) for r in session.records}
 

@@ -73,7 +73,7 @@ def test_the_job_is_written_and_the_answer_read(tmp_path: Path) -> None:
 
 
 def test_nothing_registered_is_an_empty_answer(tmp_path: Path) -> None:
-    place = fake_environment(tmp_path / "env", "print('no two images could be brought together')")
+    place = fake_environment(tmp_path / "env", "print('no two images could be registered')")
     assert len(run_method(Colmap(ColmapConfig(run_in=place)), TinySequence(n=3)).estimate.trajectory) == 0
 
 

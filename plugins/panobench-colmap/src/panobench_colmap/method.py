@@ -1,4 +1,4 @@
-"""COLMAP through pycolmap 4, in a process of its own; the intrinsics are given and stay as they are."""
+"""COLMAP through pycolmap 4, in a process of its own. The intrinsics are given and are not refined."""
 
 from __future__ import annotations
 

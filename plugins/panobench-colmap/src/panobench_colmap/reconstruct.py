@@ -1,4 +1,4 @@
-"""Runs inside the environment that has pycolmap 4: python reconstruct.py WORK, where WORK/job.json says what to do."""
+"""Runs in the environment that has pycolmap 4: ``python reconstruct.py WORK``; WORK/job.json has the options."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def main(work: Path) -> None:
     (work / "models").mkdir()
     models = pycolmap.incremental_mapping(database, work / "images", work / "models", options)
     if not models:
-        print("no two images could be brought together", flush=True)
+        print("no two images could be registered", flush=True)
         return
     best = max(models.values(), key=lambda model: model.num_reg_images())
     times = dict(zip(job["images"], job["times"]))

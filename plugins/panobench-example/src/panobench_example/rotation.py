@@ -31,7 +31,7 @@ class RotationConfig:
 
 
 class Rotation(OnlineMethod):
-    """Chains frame-to-frame rotations; the camera stays at the origin."""
+    """Chains the rotations from frame to frame. The camera stays at the origin."""
 
     def __init__(self, config: RotationConfig | None = None) -> None:
         self.config = config or RotationConfig()
@@ -96,13 +96,13 @@ def _yaw(a: Array, b: Array) -> float:
 
 
 def _whitened(cross: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Cross spectrum with equal magnitudes, but for those far below the mean, which are noise."""
+    """Cross spectrum with equal magnitudes, except for those far below the mean, which are noise."""
     size = np.abs(cross)
     return np.asarray(cross / (size + 0.1 * size.mean(axis=(-2, -1), keepdims=True) + 1e-12))
 
 
 def _shifts(fa: NDArray[np.complex128], fb: NDArray[np.complex128], size: int) -> tuple[Array, Array]:
-    """Shift (K, 2) in pixels of windows b against a from their spectra, and each one's peak height (K,)."""
+    """Shifts (K, 2) in pixels of windows b relative to a, from their spectra, and the heights (K,) of the peaks."""
     surface = np.fft.irfft2(_whitened(fb * np.conj(fa)), s=(size, size))
     k = np.arange(len(surface))
     y, x = np.divmod(surface.reshape(len(surface), -1).argmax(axis=1), size)
@@ -138,6 +138,6 @@ def _window_rays(config: RotationConfig, centres: Array, right: Array, down: Arr
 
 
 def _wahba(a: Array, b: Array, weights: Array) -> Array:
-    """Rotation R (3, 3) minimising the weighted squared distance of a_i and R b_i, rays (K, 3)."""
+    """Rotation R (3, 3) that minimises the weighted squared distance of a_i and R b_i, for rays (K, 3)."""
     U, _, Vt = np.linalg.svd((a * weights[:, None]).T @ b)
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)

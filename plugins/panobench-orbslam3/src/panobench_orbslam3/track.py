@@ -1,6 +1,6 @@
-"""Runs inside the environment that has pyorbslam3 and numpy: feeds the images, saves trajectories and tracking times.
+"""Runs in the environment that has pyorbslam3 and numpy: feeds the images, saves trajectories and tracking times.
 
-python track.py VOCABULARY WORK PACE; WORK holds settings.yaml, times.txt (nanoseconds) and images/<time>.png.
+``python track.py VOCABULARY WORK PACE``; WORK holds settings.yaml, times.txt (nanoseconds) and images/<time>.png.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 
 
 def read_grey(path: Path) -> Any:
-    """(H, W) uint8 of an 8-bit grey PNG, with whichever reader there is."""
+    """Image (H, W) uint8 of an 8-bit grey PNG, by OpenCV if it is installed."""
     try:
         import cv2
 
@@ -22,7 +22,7 @@ def read_grey(path: Path) -> Any:
 
 
 def decode_grey_png(data: bytes) -> Any:
-    """An 8-bit grey PNG without interlacing, by the PNG specification's filters (section 9)."""
+    """Decode an 8-bit grey PNG without interlacing (filters: section 9 of the PNG specification)."""
     import struct
     import zlib
 

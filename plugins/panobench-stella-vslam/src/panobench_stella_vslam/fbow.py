@@ -1,7 +1,8 @@
-"""ORB vocabularies as stella_vslam reads them: DBoW2's text turned into FBoW's binary file.
+"""Conversion of ORB vocabularies from DBoW2's text format to FBoW's binary format, which stella_vslam reads.
 
-FBoW keeps the tree in blocks of fixed size, one per inner node, the root's first: number of children, parent's block,
-k descriptors, and per child (block, 0) or (word with its highest bit set, weight). Signature and sizes come first.
+After a header with signature and sizes, FBoW stores blocks of fixed size, one for each inner node and the root's first:
+number of children, parent's block, k descriptors, and for each child (block, 0) or (word with its highest bit set,
+weight).
 Format: the declarations in vocabulary.h of FBoW, https://github.com/stella-cv/FBoW (MIT).
 """
 
@@ -20,13 +21,13 @@ _DESCRIPTOR, _ALIGNMENT, _LEAF = 32, 8, 1 << 31
 
 
 def is_fbow(path: Path) -> bool:
-    """Whether the file starts as FBoW's do."""
+    """Whether the file starts with FBoW's signature."""
     with path.open("rb") as file:
         return file.read(len(SIGNATURE)) == SIGNATURE
 
 
 def fbow_from_dbow2(source: Path, target: Path) -> None:
-    """Rewrite a vocabulary. Raises InputError for a file that is no DBoW2 text vocabulary of ORB features."""
+    """Convert a vocabulary. Raises InputError for a file that is no DBoW2 text vocabulary of ORB features."""
     branches, parents, leaves, descriptors, weights = _read_dbow2(source)
     target.write_bytes(
         _header(branches, 1 + int((~leaves).sum())) + _blocks(branches, parents, leaves, descriptors, weights)
@@ -36,7 +37,7 @@ def fbow_from_dbow2(source: Path, target: Path) -> None:
 def _read_dbow2(
     path: Path,
 ) -> tuple[int, NDArray[np.intp], NDArray[np.bool_], NDArray[np.uint8], NDArray[np.float32]]:
-    """Branches, and per node but the root: parent (0 is the root), leaf, descriptor (32,) and weight."""
+    """Branches; parent (0 is the root), leaf flag, descriptor (32,) and weight of each node except the root."""
     with path.open("rb") as file:
         head = file.readline(100).split()
         problem = "not a DBoW2 vocabulary in text format"
@@ -76,10 +77,10 @@ def _layout(branches: int) -> np.dtype[np.void]:
 
 
 def _header(branches: int, blocks: int) -> bytes:
-    size = _layout(branches).itemsize  # a multiple of the alignment: every part is
+    size = _layout(branches).itemsize  # a multiple of the alignment, as all parts are
     features = 8
     sizes = (_DESCRIPTOR, size, features, features + branches * _DESCRIPTOR, size * blocks)
-    # 50 bytes for a name, gaps as a C compiler leaves them; 0 is OpenCV's type of unsigned bytes.
+    # a name of 50 bytes and the padding of a C compiler; 0 is OpenCV's type of unsigned bytes
     return SIGNATURE + struct.pack("<50s2xII4x5QiiI4x", b"orb", _ALIGNMENT, blocks, *sizes, 0, _DESCRIPTOR, branches)
 
 
@@ -91,7 +92,7 @@ def _blocks(
     weights: NDArray[np.float32],
 ) -> bytes:
     inner = np.concatenate([[True], ~leaves])
-    block_of = np.cumsum(inner) - 1  # per node, the root is node 0
+    block_of = np.cumsum(inner) - 1  # for each node; the root is node 0
     word_of = np.cumsum(leaves) - 1
     order = np.argsort(parents, kind="stable")
     block = block_of[parents[order]]
