@@ -79,7 +79,7 @@ class PhotoslamMethod(OnlineMethod):
 
     def finish(self) -> Estimate:
         answer = self.tracking.finish()
-        former = [*self.tracking.former, *([self.tracking.session] if self.tracking.session else [])]
+        former = [*self.tracking.previous, *([self.tracking.session] if self.tracking.session else [])]
         if former and self.maps:
             best = max(former, key=lambda s: len(s.records))  # the one ``sparse`` answers with
             self.chosen = next((m for s, m in self.maps if s is best), None)
