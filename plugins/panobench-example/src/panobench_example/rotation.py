@@ -11,23 +11,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench import Camera, Estimate, Frame, MethodContext, OnlineMethod, Trajectory
+from panobench import Camera, Estimate, Frame, MethodContext, OnlineMethod, Options, Trajectory, option
 from panobench.geometry import directions_from_lonlat, make_pose, renormalise, so3_exp
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class RotationConfig:
-    """windows_per_ring: tangent windows per circle of latitude (three circles), each ``window_px`` square and
-    ``window_fov_deg`` wide. min_contrast: grey levels below which a frame counts as textureless, and is lost.
-    """
+class RotationConfig(Options):
+    """Tangent windows and their alignment."""
 
-    windows_per_ring: int = 8
-    window_px: int = 32
-    window_fov_deg: float = 50.0
-    iterations: int = 3
-    min_contrast: float = 2.0
+    windows_per_ring: int = option(8, "tangent windows on each of three circles of latitude", above=0)
+    window_px: int = option(32, "side of a window", unit="px", above=0)
+    window_fov_deg: float = option(50.0, "field of view of a window", unit="deg", above=0, below=180)
+    iterations: int = option(3, "times the windows are matched and the rotation is solved")
+    min_contrast: float = option(2.0, "a frame of less contrast is lost", unit="grey levels")
 
 
 class Rotation(OnlineMethod):
