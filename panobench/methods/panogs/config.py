@@ -135,8 +135,12 @@ class FixedLagOptions(Options):
     parallax_min: float = option(0.03, "translation that a sweep needs", unit="depths")
     near: float = option(0.1, "nearest depth swept", unit="depths", above=0)
     far: float = option(15.0, "farthest depth swept", unit="depths", above=0)
+    disprove_depth: float = option(0.1, "log ratio from which a swept depth is another than the map's", above=0)
+    disprove_share: float = option(0.6, "error of the swept depth over the map's below which the map's is disproved")
+    disprove_margin: float = option(0.004, "margin on that comparison", unit="of 1")
     smooth: bool = option(True, "refine the poses of the last frames jointly with depth")
     shared_min: int = option(4, "frames two lags must share for the scale to pass from one to the other")
+    shared_far: float = option(0.5, "distance over the lag's length from which such a frame counts")
     stretch_max: float = option(1.25, "largest change of scale of one lag, either way", above=0)
 
 

@@ -23,8 +23,6 @@ from panobench.photometric.stereo import WorkingScale, resize_panorama
 Pose = NDArray[np.float64]
 #: More iterations change little (docs/panogs-lab.md).
 BUNDLE = BundleOptions(cell_px=5, iterations=6)
-#: A frame counts for the scale if it is at least this share of the lag's length away.
-FAR_ENOUGH = 0.5
 
 
 class LagSmoother:
@@ -72,6 +70,6 @@ class LagSmoother:
         shared = np.array([f.index in self.refined for f in others]) & (after > 0)
         if np.count_nonzero(shared) < self.options.shared_min:
             return 1.0
-        shared &= after >= FAR_ENOUGH * after[shared].max()
+        shared &= after >= self.options.shared_far * after[shared].max()
         limit = self.options.stretch_max
         return float(np.clip(np.median(before[shared] / after[shared]), 1 / limit, limit))

@@ -20,10 +20,6 @@ from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import SweepOptions, WorkingScale, multi_view_depth, resize_panorama
 from panobench.photometric.sweep import reprojection_error
 
-#: Swept depth differs from the map's if their logarithms are this far apart.
-OTHER_DEPTH = 0.1
-#: It disproves the map's depth if its error is below this share of the map's, less a margin (of 1).
-BETTER_SHARE, BETTER_MARGIN = 0.6, 0.004
 #: Pixels over which errors are averaged before they are compared.
 _ERROR_WINDOW = (5, 5)
 
@@ -82,13 +78,13 @@ class DepthSweep:
 
         Gaussians that spread over an opening can have the right colour at the wrong depth.
         """
-        size = self.scale.valid.shape[::-1]
+        o, size = self.options, self.scale.valid.shape[::-1]
         small = cv2.resize(mapped, size, interpolation=cv2.INTER_NEAREST).astype(np.float32)
         with np.errstate(invalid="ignore"):
-            other = np.abs(np.log(small / swept.depth)) > OTHER_DEPTH
+            other = np.abs(np.log(small / swept.depth)) > o.disprove_depth
             rivals = (np.where(other, depth, np.float32(np.nan)) for depth in (swept.depth, small))
             new, old = (self._error(swept, depth) for depth in rivals)
-            better = new < BETTER_SHARE * old - BETTER_MARGIN
+            better = new < o.disprove_share * old - o.disprove_margin
         full = cv2.resize((other & better).view(np.uint8), (self.camera.width, self.camera.height), interpolation=0)
         return np.asarray(full > 0)
 
