@@ -64,15 +64,15 @@ def world():
 def window(world):
     """Four keyframes at their true poses and points of the first at their true distance."""
     camera, truth, images = world
-    rig = build_faces(camera, 10**6, LEVELS)
+    face_set = build_faces(camera, 10**6, LEVELS)
     config = DirectConfig(held=2)
-    w = Window(config, rig, LEVELS)
+    w = Window(config, face_set, LEVELS)
     for n, i in enumerate((0, 3, 6, 9)):
-        w.keyframes.append(DirectKeyframe(n, i, invert_pose(truth[i]), rig.pyramid(images[i], LEVELS)))
-    bearings = choose_pixels(rig, w.keyframes[0].pyramid[0], 700, np.empty((0, 3)))
+        w.keyframes.append(DirectKeyframe(n, i, invert_pose(truth[i]), face_set.pyramid(images[i], LEVELS)))
+    bearings = choose_pixels(face_set, w.keyframes[0].pyramid[0], 700, np.empty((0, 3)))
     distance = box_distance(truth[0][:3, 3], bearings @ truth[0][:3, :3].T)
     rho = 1 / distance
-    w.points = make_points(rig, w.keyframes[0].pyramid, bearings, 0, rho, 0.5 * rho, 2 * rho)
+    w.points = make_points(face_set, w.keyframes[0].pyramid, bearings, 0, rho, 0.5 * rho, 2 * rho)
     w.candidates = PointCloud.empty(LEVELS)
     return w
 
@@ -84,12 +84,12 @@ def soft(window):
 
 
 def residual(window, soft, T, n, rho, affine=(0.0, 0.0)):
-    rig, p = window.rig, window.points
+    face_set, p = window.face_set, window.points
     res, J, Jr, weight = np.empty(SIZE), np.empty((SIZE, FRAME)), np.empty(SIZE), np.empty(SIZE)
     rel = T @ invert_pose(window.keyframes[0].T_cw)
     energy = _pattern_residual(
-        soft, rig.valid, 1.0, rig.R_fc, rig.intrinsics, rel[:3, :3].copy(),
-        rel[:3, 3].copy(), p.bearing[n], rho, p.colour[n, 0].copy(), affine[0], affine[1], 1 / rig.focal, PATTERN,
+        soft, face_set.valid, 1.0, face_set.R_fc, face_set.intrinsics, rel[:3, :3].copy(),
+        rel[:3, 3].copy(), p.bearing[n], rho, p.colour[n, 0].copy(), affine[0], affine[1], 1 / face_set.focal, PATTERN,
         50.0, 9.0, res, J, Jr, weight,
     )  # fmt: skip
     return energy, res, J, Jr
@@ -142,7 +142,7 @@ def test_alignment_converges(world, window, shift):
     rng = np.random.default_rng(1)
     true = invert_pose(truth[4])
     guess = se3_exp(np.concatenate([shift * rng.normal(size=3), shift * rng.normal(size=3)])) @ true
-    found = align(window, window.rig.pyramid(images[4], LEVELS), guess, np.zeros(2))
+    found = align(window, window.face_set.pyramid(images[4], LEVELS), guess, np.zeros(2))
     assert found is not None
     off = found.T_cw @ invert_pose(true)
     assert np.linalg.norm(off[:3, 3]) < 0.003
@@ -153,7 +153,7 @@ def test_alignment_converges(world, window, shift):
 def test_alignment_finds_gain_and_offset(world, window):
     _, truth, images = world
     darker = np.round(0.8 * images[4] + 12).astype(np.uint8)
-    found = align(window, window.rig.pyramid(darker, LEVELS), invert_pose(truth[4]), np.zeros(2))
+    found = align(window, window.face_set.pyramid(darker, LEVELS), invert_pose(truth[4]), np.zeros(2))
     assert found is not None
     assert found.affine[0] == pytest.approx(-0.2, abs=0.02)
     assert found.affine[1] == pytest.approx(12, abs=2)
@@ -161,7 +161,7 @@ def test_alignment_finds_gain_and_offset(world, window):
 
 def test_bundle_adjustment_repairs_poses_and_distances(window):
     rng = np.random.default_rng(2)
-    copy = Window(window.config, window.rig, LEVELS)
+    copy = Window(window.config, window.face_set, LEVELS)
     copy.keyframes = [DirectKeyframe(k.number, k.frame, k.T_cw.copy(), k.pyramid) for k in window.keyframes]
     copy.points = window.points.select(np.arange(len(window.points)))
     true_rho = copy.points.rho.copy()

@@ -224,13 +224,13 @@ def test_loop_closure_takes_out_drift():
 @pytest.mark.parametrize("step_deg", [2.0, 12.0])
 def test_rotation_finder_measures_a_turn(panoramas, step_deg):
     camera, truth, _ = panoramas
-    rig = build_faces(camera, 10**6, 4)
-    finder = RotationFinder(rig, 4)
+    face_set = build_faces(camera, 10**6, 4)
+    finder = RotationFinder(face_set, 4)
     assert np.array_equal(finder.rotation(), np.eye(3))
     axis = np.array([0.3, 0.9, -0.2]) / np.linalg.norm([0.3, 0.9, -0.2])
     turn = so3_exp(np.deg2rad(step_deg) * axis)  # takes rays of the first frame to the second's
     for T in (truth[0], truth[0] @ make_pose(turn.T, np.zeros(3))):
-        finder.push(rig.pyramid(view(camera, T), 4))
+        finder.push(face_set.pyramid(view(camera, T), 4))
     found = finder.rotation()
     assert np.degrees(np.linalg.norm(so3_log(found @ turn.T))) < 0.2
 
@@ -249,15 +249,15 @@ def test_turning_pinhole_camera_makes_no_map():
 
 
 def test_cube_faces_cover_the_sphere_once():
-    rig = build_faces(ErpCamera(512, 256), 10**6, 3)
-    assert rig.count == 6
-    np.testing.assert_allclose(np.linalg.det(rig.R_fc), 1, atol=1e-12)
-    fx = rig.intrinsics[0]
+    face_set = build_faces(ErpCamera(512, 256), 10**6, 3)
+    assert face_set.count == 6
+    np.testing.assert_allclose(np.linalg.det(face_set.R_fc), 1, atol=1e-12)
+    fx = face_set.intrinsics[0]
     assert fx == pytest.approx(512 / (2 * np.pi), rel=0.2)
-    h, w = rig.size
+    h, w = face_set.size
     u, v = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)
     angle = 1 / (fx**2 * (1 + ((u - w / 2) / fx) ** 2 + ((v - h / 2) / fx) ** 2) ** 1.5)
-    assert (rig.core * angle).sum() == pytest.approx(4 * np.pi, rel=0.05)
+    assert (face_set.core * angle).sum() == pytest.approx(4 * np.pi, rel=0.05)
 
 
 @pytest.mark.parametrize("fov", [120, 140, 150, 170, 190])
@@ -270,13 +270,13 @@ def test_face_images_show_what_the_camera_sees():
     """A panorama whose brightness is a function of direction comes out the same on every face."""
     camera = ErpCamera(256, 128)
     image = np.round(127 + 100 * camera.rays() @ np.array([0.3, 0.5, -0.8])).astype(np.uint8)
-    rig = build_faces(camera, 10**6, 2)
-    faces = rig.pyramid(image, 2)[0]
-    h, w = rig.size
+    face_set = build_faces(camera, 10**6, 2)
+    faces = face_set.pyramid(image, 2)[0]
+    h, w = face_set.size
     grid = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), axis=-1).reshape(-1, 2)
-    for f in range(rig.count):
-        expected = 127 + 100 * rig.rays(f, grid) @ np.array([0.3, 0.5, -0.8])
-        difference = np.abs(faces[f].ravel() - expected)[rig.core[f].ravel()]
+    for f in range(face_set.count):
+        expected = 127 + 100 * face_set.rays(f, grid) @ np.array([0.3, 0.5, -0.8])
+        difference = np.abs(faces[f].ravel() - expected)[face_set.core[f].ravel()]
         assert difference.max() < 2.5
 
 
