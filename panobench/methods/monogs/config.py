@@ -55,7 +55,9 @@ class GaussianOptions(Options):
     )
     initial_opacity: float = option(0.5, "opacity of a new Gaussian", above=0, below=1)
     extent: float = option(
-        6.0, "of the scene, where the first depth is 2; scales the position's rate and the sizes allowed", above=0
+        6.0,
+        "of the scene, where the first depth is 2; scales the rates of positions and sizes, and the sizes allowed",
+        above=0,
     )
 
 
@@ -82,12 +84,12 @@ class MappingOptions(Options):
         0.0002, "mean gradient across the image above which a Gaussian is cloned or split, for images of 480 rows"
     )
     isotropy: float = option(10.0, "weight of the regulariser that keeps Gaussians round")
-    position_rate: float = option(1.6e-4, "learning rate of positions at the start, in extents", above=0)
+    position_rate: float = option(1.6e-3, "learning rate of positions at the start, in extents", above=0)
     position_rate_end: float = option(1.6e-6, "the same after rate_steps steps", above=0)
     rate_steps: int = option(30_000, "steps over which the position's rate falls", above=0)
     colour_rate: float = option(2.5e-3, "learning rate of colours")
     opacity_rate: float = option(0.05, "learning rate of opacities (logits)")
-    scale_rate: float = option(1e-3, "learning rate of sizes (logarithms)")
+    scale_rate: float = option(1e-3, "learning rate of sizes (logarithms), in extents as well")
     turn_rate: float = option(1e-3, "learning rate of the Gaussians' orientations")
     final_iterations: int = option(
         0, "steps on random keyframes at the end, colour refinement; the paper's evaluation does 26,000"

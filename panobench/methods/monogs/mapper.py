@@ -174,7 +174,7 @@ class MonogsMapper:
         c = self.config
         share = min(1.0, self.steps / c.rate_steps)
         position = float(np.exp((1 - share) * np.log(c.position_rate) + share * np.log(c.position_rate_end)))
-        return LearningRates(position * c.extent, c.scale_rate, c.turn_rate, c.opacity_rate, c.colour_rate)
+        return LearningRates(position * c.extent, c.scale_rate * c.extent, c.turn_rate, c.opacity_rate, c.colour_rate)
 
     def _densify(self, opacity: float, extent: float, pixels: float | None) -> None:
         most = int(MOST_PER_PIXEL * np.count_nonzero(self.valid))
