@@ -118,4 +118,4 @@ def _change(verdict: Any) -> str:
 
 
 def _number(value: float | None, factor: float) -> str:
-    return "/" if value is None else f"{value * factor:.2f}"
+    return "n/a" if value is None else f"{value * factor:.2f}"

@@ -59,3 +59,5 @@ def report(
     studies = len(collection.studies)
     also = f" and {studies} stud{'ies' if studies != 1 else 'y'}" if studies else ""
     print(f"{output}: {count} run{'s' if count != 1 else ''}{also}, {amount}")
+    for path in collection.written[1:]:
+        print(path)

@@ -71,7 +71,7 @@ def _pairs(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
         ("tracked", "{:.1%}", 1.0),
     ):
         old, new = (
-            "/" if d[key] is None else form.format(d[key] if factor is None else d[key] * factor)
+            "n/a" if d[key] is None else form.format(d[key] if factor is None else d[key] * factor)
             for d in (before, after)
         )
         words.append(new if old == new else f"{old} -> {new}")

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from panobench.bench.cautions import CAUTIONS
 from panobench.bench.paper import Published
+from panobench.bench.request import run_options
 from panobench.bench.statistics import Ranked, rank, sequence_mean, summarise
 from panobench.report.model import Run
-from panobench.report.published import published_block
+from panobench.report.published import Block, published_block
 from panobench.report.ranking import failure
 from panobench.report.table_model import (
     FAILED,
@@ -46,7 +48,9 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
     judged = [v for v in cells if not given(here[v])]
     everywhere = [v for v in judged if all(c.text != NOT_RUN for c in cells[v])] or judged
     common = common_sequences([cells[v] for v in everywhere])
-    columns = [Column("method", "Method", numeric=False)] + [Column(s, s, unit, "lower") for s in sequences]
+    columns = [Column("method", "Method", numeric=False)] + [
+        Column(s, s, unit, "lower", sequence=True) for s in sequences
+    ]
     if len(sequences) > 1:
         columns.append(Column("succeeded", "Succeeded", "", "higher"))
         columns.append(Column("mean", "Geom. mean", unit, "lower", about="geometric mean, see the ranking rule"))
@@ -55,12 +59,16 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
     rows += [_row(v, None, cells, here, unit) for v in judged if v not in everywhere]
     rows += [_row(v, None, cells, here, unit) for v in cells if v not in judged]
     rows = mark_ranks(columns, rows)
-    extra, notes = published_block(published, dataset, sequences, unit, scale) if published else ([], ())
-    rows += [_published_row(label, values, unit, common) for label, values in extra]
-    caption = f"ATE RMSE in {unit} after alignment; below each, the share of frames tracked. Lower is better."
+    everyone = [r for runs in here.values() for r in runs]
+    block = published_block(published, dataset, sequences, everyone, scale) if published else Block()
+    rows += [_published_row(label, values, unit, common, block.flags) for label, values in block.rows]
+    notes = block.notes
+    caption = f"ATE RMSE in {unit} after alignment. Lower is better."
+    below = "Below each, the share of frames tracked."
     if any(cell.repeats > 1 for row in rows for cell in row.cells):
-        caption += (
-            " Cells with repeats show the median of n runs, with the interquartile range (IQR)"
+        caption += " Cells with repeats show the median of their runs."
+        below += (
+            " Below medians stand the number of runs (n), the interquartile range (IQR)"
             " and the bootstrap 95% interval of the median."
         )
     if judged and len(common) < len(sequences):
@@ -71,7 +79,9 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
         notes = (*notes, "Methods that were given the poses show them again: they are not ranked.")
     if any(p.differs for p in order):
         notes = (*notes, "† differs significantly from the first method (see the ranking rule).")
-    return Table(f"ate-{dataset}", f"Trajectory accuracy, {dataset}", caption, tuple(columns), tuple(rows), notes)
+    return Table(
+        f"ate-{dataset}", f"Trajectory accuracy, {dataset}", caption, tuple(columns), tuple(rows), notes, below
+    )
 
 
 def ate_cell(runs: Sequence[Run], unit: str, scale: float) -> Cell:
@@ -100,24 +110,10 @@ def common_sequences(rows: Sequence[Sequence[Cell]]) -> list[int]:
     return [j for j in range(len(rows[0]) if rows else 0) if all(row[j].value is not None for row in alive)]
 
 
-#: What a flag means, for whoever points at it.
-FLAGS = {
-    "true depth": "was given the dataset’s own depth: an upper bound",
-    "given poses": "its trajectory is no result: an upper bound",
-    "failed start": "its map started from a depth that failed its check",
-    "doubtful": "the verdict on a run says that it may be wrong; see the run’s own section",
-}
-
-
 def flags(runs: Sequence[Run]) -> tuple[str, ...]:
-    """Warnings that a reader must see before comparing a row."""
-    told = (
-        ("true depth", any(run.true_depth for run in runs)),
-        ("given poses", given(runs)),
-        ("failed start", any(run.failed_start for run in runs)),
-        ("doubtful", any(run.doubtful for run in runs)),
-    )
-    return tuple(word for word, holds in told if holds)
+    """Warnings that a reader must see before comparing a row: those of ``CAUTIONS`` that hold for any of its runs."""
+    told = {word for run in runs for word in run.cautions}
+    return tuple(word for word in CAUTIONS if word in told)
 
 
 def competes(runs: Sequence[Run]) -> bool:
@@ -149,11 +145,35 @@ def _row(
         row.append(Cell(f"{done}/{tried}", float(done)))
         row.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
     facets = {"method": variant.method, "status": "ok" if done == tried else "failed"}
-    told = flags(runs[variant])
-    return Row(tuple(row), variant.origin, facets, flags=told, competes=competes(runs[variant]))
+    mine_runs = runs[variant]
+    return Row(
+        tuple(row),
+        variant.origin,
+        facets,
+        flags=flags(mine_runs),
+        competes=competes(mine_runs),
+        group=conditions(mine_runs, ("every", "max_frames")),
+        facts={**facts(mine_runs), "dataset": mine_runs[0].dataset},
+    )
 
 
-def _published_row(label: str, values: Sequence[float | None], unit: str, common: Sequence[int]) -> Row:
+def conditions(runs: Sequence[Run], names: Sequence[str]) -> str:
+    """The values of run options that decide which runs can be the best of the same column."""
+    return "; ".join(f"{name} {','.join(sorted({run.option(name) for run in runs}))}" for name in names)
+
+
+def facts(runs: Sequence[Run]) -> dict[str, str]:
+    """What is the same for all runs of a row: method, and every run option that labels may name."""
+    shared = {"method": {run.method for run in runs}}
+    for option in run_options():
+        if option.label is not None and option.name != "settings":
+            shared[option.name] = {run.option(option.name) for run in runs}
+    return {name: values.pop() if len(values) == 1 else "" for name, values in shared.items()}
+
+
+def _published_row(
+    label: str, values: Sequence[float | None], unit: str, common: Sequence[int], told: tuple[str, ...]
+) -> Row:
     cells = [Cell(label)]
     for value in values:
         if value is None:
@@ -168,4 +188,4 @@ def _published_row(label: str, values: Sequence[float | None], unit: str, common
         shared = [v for j in common if (v := values[j]) is not None and not math.isnan(v)]
         mean = sequence_mean(shared) if len(shared) == len(common) else None
         cells.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
-    return Row(tuple(cells), "published", {"method": label, "status": "published"})
+    return Row(tuple(cells), "published", {"method": label, "status": "published"}, flags=told, facts={"method": label})

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from panobench.bench.paper import load_published
 from panobench.errors import UnknownNameError, UsageError
 from panobench.report import privacy
 from panobench.report.collect import collect
-from panobench.report.exports import FORMATS, SUFFIXES
+from panobench.report.exports import FORMATS, SUFFIXES, to_csv
 from panobench.report.model import Collection
+from panobench.report.table_model import Table
 from panobench.report.tables import build_tables
 from panobench.writing import write_whole
 
@@ -57,9 +59,28 @@ def write_report(
         for name in wanted:
             if name not in [t.name for t in built]:
                 raise UnknownNameError("table", name, [t.name for t in built])
-        text = FORMATS[kind]([t for t in built if not wanted or t.name in wanted])
+        chosen = [t for t in built if not wanted or t.name in wanted]
+        if kind == "csv" and len(chosen) > 1:
+            return _write_csv(collection, chosen, output)
+        text = FORMATS[kind](chosen)
     write_whole(output, text)
-    return collection
+    return replace(collection, written=(output,))
+
+
+def _write_csv(collection: Collection, tables: list[Table], output: Path) -> Collection:
+    """A file per table: all runs in ``output`` (or the first table there is), the others beside it by their names."""
+    main = next((t for t in tables if t.name == "runs"), tables[0])
+    written = []
+    for table in tables:
+        beside = output.with_name(f"{output.stem}.{safe_name(table.name)}{output.suffix}")
+        written.append(output if table is main else beside)
+        write_whole(written[-1], to_csv([table]))
+    return replace(collection, written=(output, *(path for path in written if path != output)))
+
+
+def safe_name(text: str) -> str:
+    """A table's name as part of a file's: names of datasets come from data."""
+    return "".join(c if c.isalnum() or c in "-_" else "-" for c in text)[:80]
 
 
 def choose_format(output: Path, format: str | None) -> str:

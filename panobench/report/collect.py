@@ -18,6 +18,7 @@ from panobench.bench.store import QUARANTINE
 from panobench.bench.study_record import STUDY_JSON, StoredStudy, read_study
 from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import InputError
+from panobench.metrics.base import MASK
 from panobench.report.model import Array, Collection, DepthPictures, Errors, ImagePair, Problem, Run
 from panobench.types import Trajectory
 
@@ -93,6 +94,7 @@ def read_run(folder: Path) -> Run:
         errors=trajectory_errors(trajectory, groundtruth, Protocol.of(record)) if trajectory is not None else None,
         frames=frames,
         pairs=_pairs(folder / RENDERS),
+        mask=mask if (mask := folder / RENDERS / MASK).is_file() else None,
         depth=_depth(folder, record.depth),
         log_tail=_log_tail(folder / LOG),
         warnings=tuple(warnings),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from panobench.report.table_model import Cell, Column, Row, Table
 
@@ -35,17 +36,65 @@ _LATEX = {
 }
 
 
+#: Widths in characters of tables that fit one column of a page as they are, and its whole width (345 pt, 10 pt type).
+_COLUMN, _PAGE = 44, 78
+#: A table is never scaled below this share of its size, but split; and no part has more rows than a page.
+_SMALLEST, _ROWS = 0.62, 38
+
+
 def to_latex(tables: Sequence[Table]) -> str:
-    """booktabs tables; the preamble needs \\usepackage{booktabs}. Coverage under 100% stands in brackets."""
-    return "% needs \\usepackage{booktabs}\n" + "\n".join(_latex_table(t) for t in tables)
+    """booktabs tables; the preamble needs booktabs and graphicx. Coverage under 100% stands in brackets.
+
+    What is wider than a column spans the page (table*), scaled down to it if need be; what would become too small to
+    read is split into parts that repeat the columns of text.
+    """
+    parts = [part for table in tables for part in _parts(table)]
+    return "% needs \\usepackage{booktabs} and \\usepackage{graphicx}\n" + "\n".join(_latex_table(*p) for p in parts)
 
 
-def _latex_table(table: Table) -> str:
+def _parts(table: Table) -> list[tuple[Table, int, int]]:
+    """(part, its number from 1, number of parts): the table cut by columns, then by rows, so that each fits a page."""
+    widths = [_width(table, j) for j in range(len(table.columns))]
+    names = [j for j, column in enumerate(table.columns) if j == 0 or column.key in ("sequence", "seed")]
+    blocks: list[list[int]] = [[]]
+    for j in range(len(widths)):
+        if sum(widths[k] for k in {*blocks[-1], j}) > _PAGE / _SMALLEST and len(blocks[-1]) > len(names):
+            blocks.append([k for k in names if k < j])
+        blocks[-1].append(j)
+    parts = []
+    for block in blocks:
+        for first in range(0, max(len(table.rows), 1), _ROWS):
+            rows = table.rows[first : first + _ROWS]
+            rows = tuple(replace(row, cells=tuple(row.cells[j] for j in block)) for row in rows)
+            parts.append(replace(table, columns=tuple(table.columns[j] for j in block), rows=rows))
+    return [(part, k + 1, len(parts)) for k, part in enumerate(parts)]
+
+
+def _width(table: Table, j: int) -> int:
+    """The width of a column in characters, with the space beside it."""
+    return 2 + max(len(_heading(table.columns[j])), *(_cell_width(row, j) for row in table.rows), 0)
+
+
+def _cell_width(row: Row, j: int) -> int:
+    cell = row.cells[j]
+    bracket = 4 if cell.coverage is not None and cell.coverage < 0.9995 else 0
+    return len(cell.text) + bracket + (len(_marker(row)) if j == 0 else 0)
+
+
+def _latex_table(table: Table, number: int = 1, count: int = 1) -> str:
+    wide = sum(_width(table, j) for j in range(len(table.columns))) > _COLUMN
+    environment = "table*" if wide else "table"
+    partial = any(c.coverage is not None and c.coverage < 0.9995 for row in table.rows for c in row.cells)
+    caption = f"{table.title}. {table.caption}" + (" In brackets, the share of frames tracked." if partial else "")
+    if number > 1:
+        caption = f"{table.title} (part {number} of {count})."
+    label = "".join(c if c.isalnum() else "-" for c in table.name) + (f"-{number}" if number > 1 else "")
     lines = [
-        r"\begin{table}",
+        rf"\begin{{{environment}}}",
         r"\centering",
-        rf"\caption{{{latex_text(table.title)}. {latex_text(table.caption)}}}",
-        rf"\label{{tab:{''.join(c if c.isalnum() else '-' for c in table.name)}}}",
+        rf"\caption{{{latex_text(caption)}}}",
+        rf"\label{{tab:{label}}}",
+        *([r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"] if wide else []),
         rf"\begin{{tabular}}{{{''.join('r' if c.numeric else 'l' for c in table.columns)}}}",
         r"\toprule",
         " & ".join(latex_text(_heading(c)) for c in table.columns) + r" \\",
@@ -57,9 +106,10 @@ def _latex_table(table: Table) -> str:
             lines.append(r"\midrule")
         lines.append(" & ".join(_latex_cell(row, j) for j in range(len(row.cells))) + r" \\")
         before = row.origin
-    lines += [r"\bottomrule", r"\end{tabular}"]
-    lines += [rf"\par\smallskip\footnotesize {latex_text(note)}" for note in table.notes]
-    return "\n".join([*lines, r"\end{table}", ""])
+    lines += [r"\bottomrule", r"\end{tabular}" + ("}" if wide else "")]
+    notes = table.notes if number == count else ()
+    lines += [rf"\par\smallskip\parbox{{\linewidth}}{{\footnotesize {latex_text(note)}}}" for note in notes]
+    return "\n".join([*lines, rf"\end{{{environment}}}", ""])
 
 
 def _latex_cell(row: Row, j: int) -> str:
@@ -82,7 +132,9 @@ def to_markdown(tables: Sequence[Table]) -> str:
     """GitHub-flavoured tables: best bold, second best underlined, coverage under 100% in brackets."""
     parts = []
     for table in tables:
-        lines = [f"### {markdown_text(table.title)}", "", markdown_text(table.caption), ""]
+        partial = any(c.coverage is not None and c.coverage < 0.9995 for row in table.rows for c in row.cells)
+        caption = table.caption + (" In brackets, the share of frames tracked." if partial else "")
+        lines = [f"### {markdown_text(table.title)}", "", markdown_text(caption), ""]
         lines.append("| " + " | ".join(markdown_text(_heading(c)) for c in table.columns) + " |")
         lines.append("|" + "|".join("---:" if c.numeric else "---" for c in table.columns) + "|")
         lines += ["| " + " | ".join(_markdown_cell(row, j) for j in range(len(row.cells))) + " |" for row in table.rows]
@@ -106,36 +158,63 @@ def markdown_text(text: str) -> str:
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;").replace("\n", " ").replace("\r", " ")
 
 
-def to_csv(tables: Sequence[Table]) -> str:
-    """One block per table, separated by an empty line; numbers at full precision, failures "/", unknown empty.
+#: Columns of a CSV that are not run options.
+_IDENTITY = ("table", "origin", "flags")
+_MEASURE = ("quantity", "value", "unit", "failed", "tracked", "repeats")
 
-    Every table starts with its own heading row; first the table's name, the row's origin, its flags.
+
+def to_csv(tables: Sequence[Table]) -> str:
+    """Long form, one measured value per line, so that any program reads it: pandas.read_csv(FILE).
+
+    What was run stands in columns of its own (method, preset, camera, width and so on), then the quantity, its value
+    at full precision and its unit. A failure has no value and failed = 1; what was not measured is left out.
     """
+    names = list(dict.fromkeys(name for table in tables for row in table.rows for name in _about(table, row)))
+    if any(column.sequence for table in tables for column in table.columns) and "sequence" not in names:
+        names.append("sequence")
     stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    for k, table in enumerate(tables):
-        if k:
-            stream.write("\n")
-        heading = ["table", "origin", "flags"]
-        for column in table.columns:
-            heading.append(_machine_heading(column))
-            if _has_coverage(table, column):
-                heading.append(f"{_machine_heading(column)} tracked")
-        writer.writerow(map(csv_text, heading))
+    writer = csv.DictWriter(stream, [*_IDENTITY, *names, *_MEASURE], restval="", lineterminator="\n")
+    writer.writeheader()
+    for table in tables:
         for row in table.rows:
-            words = [table.name, row.origin, "; ".join(row.flags)]
+            words = {"table": table.name, "origin": row.origin, "flags": "; ".join(row.flags), **_about(table, row)}
             for column, cell in zip(table.columns, row.cells):
-                words.append(_csv_value(column, cell))
-                if _has_coverage(table, column):
-                    words.append("" if cell.coverage is None else f"{cell.coverage:.6g}")
-            writer.writerow(map(csv_text, words))
+                if not _names(column) and (cell.failed or cell.value is not None):
+                    line = {**words, **_measure(table, column, cell)}
+                    writer.writerow({name: csv_text(word) for name, word in line.items()})
     return stream.getvalue()
 
 
-def _csv_value(column: Column, cell: Cell) -> str:
-    if not column.numeric or cell.failed:
-        return cell.text
-    return "" if cell.value is None else f"{cell.value:.9g}"
+def _names(column: Column) -> bool:
+    """Whether the column says what was run, not what was measured."""
+    return not column.numeric or column.key == "seed"
+
+
+def _about(table: Table, row: Row) -> dict[str, str]:
+    """What the row is about: its label, the texts in it, and its facts."""
+    texts = {c.key: cell.text for c, cell in zip(table.columns[1:], row.cells[1:]) if _names(c)}
+    return {"label": row.cells[0].text.removesuffix(" †"), **texts, **row.facts}
+
+
+def _measure(table: Table, column: Column, cell: Cell) -> dict[str, str]:
+    sequence = {"sequence": column.key} if column.sequence else {}
+    quantity = "ate_rmse" if column.sequence or (table.name.startswith("ate-") and column.key == "mean") else column.key
+    if column.key == "mean":
+        quantity += "_geometric_mean"
+    return {
+        **sequence,
+        "quantity": machine_name(quantity),
+        "value": "" if cell.value is None or cell.failed else f"{cell.value:.9g}",
+        "unit": column.unit,
+        "failed": str(int(cell.failed)),
+        "tracked": "" if cell.coverage is None else f"{cell.coverage:.6g}",
+        "repeats": str(cell.repeats),
+    }
+
+
+def machine_name(key: str) -> str:
+    """A heading such as "ATE [mm] ↓" without its unit and arrow, in small letters: "ate"."""
+    return re.sub(r"\W+", "_", re.sub(r"\[.*?\]|[↓↑]", "", key).strip().lower()).strip("_") or key
 
 
 def csv_text(word: str) -> str:
@@ -156,15 +235,6 @@ def to_json(tables: Sequence[Table]) -> str:
 
 def _heading(column: Column) -> str:
     return f"{column.label} [{column.unit}]" if column.unit else column.label
-
-
-def _machine_heading(column: Column) -> str:
-    return f"{column.key} [{column.unit}]" if column.unit else column.key
-
-
-def _has_coverage(table: Table, column: Column) -> bool:
-    j = table.columns.index(column)
-    return any(row.cells[j].coverage is not None for row in table.rows)
 
 
 def _marker(row: Row, *, latex: bool = False) -> str:

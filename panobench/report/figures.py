@@ -12,12 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from panobench.geometry import Sim3, umeyama
+from panobench.metrics.alignment import match, moves
 from panobench.report.model import Array, Errors, Run
+from panobench.report.ranking import failure
 
 #: Most points a trace may have; longer ones are thinned evenly.
 MAX_POINTS = 800
 #: An axis is logarithmic when its traces' medians differ by more than this factor.
 LOG_FROM = 15.0
+#: A plot in space shows the paths and this share of their extent on every side.
+MARGIN = 0.8
 #: It is logarithmic too when a value lies this factor above its trace's median, as only the peak would be seen.
 LOG_FROM_PEAK = 40.0
 Figure = dict[str, Any]
@@ -68,8 +73,13 @@ def value_axis(values: Sequence[float | None]) -> dict[str, Any]:
     return {"type": "linear", "rangemode": "tozero"}
 
 
-def trajectory_figures(runs: Sequence[Run], labels: Sequence[str], colours: Sequence[int]) -> tuple[Figure, Figure]:
-    """(3-D, top-down) views of every aligned trajectory and the ground truth."""
+def trajectory_figures(
+    runs: Sequence[Run], labels: Sequence[str], colours: Sequence[int], onto: Mapping[int, Sim3] | None = None
+) -> tuple[Figure, Figure]:
+    """(3-D, top-down) views of every aligned trajectory and the ground truth.
+
+    onto: without ground truth, by the index of a run, what moves its path onto the one that all are aligned to.
+    """
     turn = upright(runs)
     paths: list[tuple[str, Array, dict[str, Any]]] = []
     truth = max(
@@ -81,11 +91,13 @@ def trajectory_figures(runs: Sequence[Run], labels: Sequence[str], colours: Sequ
         points = run.errors.positions if run.errors else None
         if points is None and truth is None and run.trajectory is not None:
             points = run.trajectory.positions
+            points = onto[i].apply_points(points) if onto and i in onto else points
         if points is not None:
             paths.append((labels[i], points, {"run": i, "colour": colours[i]}))
+    paths = [(name, points @ turn.T, meta) for name, points, meta in paths]
     spatial, plan = [], []
     for name, points, meta in paths:
-        points = (points @ turn.T)[thin(len(points))]
+        points = points[thin(len(points))]
         x, y, z = (numbers(points[:, k]) for k in range(3))
         base = {"name": name, "meta": meta, "mode": "lines"}
         spatial.append({**base, "type": "scatter3d", "x": x, "y": y, "z": z, "line": {"width": 5}})
@@ -94,22 +106,70 @@ def trajectory_figures(runs: Sequence[Run], labels: Sequence[str], colours: Sequ
             start = {"name": "Start", "meta": meta, "mode": "markers", "hoverinfo": "name"}
             plan.append({**start, "type": "scatter", "x": x[:1], "y": y[:1], "marker": {"size": 9}})
             spatial.append({**start, "type": "scatter3d", "x": x[:1], "y": y[:1], "z": z[:1], "marker": {"size": 5}})
-    unit = "m" if truth is not None else "method's unit"
-    axis = {"title": {"text": f"x [{unit}]"}}
+    unit = "m" if truth is not None else "units"
+    axes: list[dict[str, Any]] = [{"title": {"text": f"{name} [{unit}]"}} for name in ("x", "y", "up")]
+    reference = [points for name, points, meta in paths if meta["run"] < 0]
+    good = [points for _, points, meta in paths if meta["run"] >= 0 and failure(runs[meta["run"]]) is None]
+    box = frame_of(reference + good or [points for _, points, _ in paths])
+    if box is not None:
+        for axis, low, high in zip(axes, *box):
+            axis["range"] = numbers(np.array([low, high]))
     layout3 = {
         "scene": {
             "aspectmode": "data",
-            "xaxis": axis,
-            "yaxis": {"title": {"text": f"y [{unit}]"}},
-            "zaxis": {"title": {"text": f"up [{unit}]"}},
+            **{f"{k}axis": axis for k, axis in zip("xyz", axes)},
             "camera": {"eye": {"x": 1.1, "y": -1.65, "z": 1.5}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}},
         }
     }
     layout2 = {
-        "xaxis": {"title": {"text": f"x [{unit}]"}},
-        "yaxis": {"title": {"text": f"y [{unit}]"}, "scaleanchor": "x", "scaleratio": 1},
+        "xaxis": {"title": axes[0]["title"]},
+        "yaxis": {"title": axes[1]["title"], "scaleanchor": "x", "scaleratio": 1},
     }
     return {"data": spatial, "layout": layout3}, {"data": plan, "layout": layout2}
+
+
+def frame_of(paths: Sequence[Array]) -> tuple[Array, Array] | None:
+    """Lower and upper corner (3,) of the box that a plot in space shows: the paths, and ``MARGIN`` of it around them.
+
+    Points of a map far outside, or a method that got lost, must not shrink the paths to a dot.
+    """
+    finite = [p[np.isfinite(p).all(axis=1)] for p in paths]
+    points = np.concatenate(finite) if finite else np.zeros((0, 3))
+    if len(points) == 0:
+        return None
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = float((high - low).max())
+    margin = MARGIN * (size if size > 0 else 1.0)
+    return low - margin, high + margin
+
+
+def alignment_without_truth(runs: Sequence[Run]) -> tuple[int, dict[int, Sim3]] | None:
+    """The run that the others' paths are aligned to, and by its index what moves each other one onto it.
+
+    The reference is the most trusted run that did not fail, the longest of these. None where there is ground truth or
+    only one path. A path that shares no three frames with the reference, or does not move, stays as it is.
+    """
+    if any(r.groundtruth is not None for r in runs):
+        return None
+    having = [i for i, r in enumerate(runs) if r.trajectory is not None]
+    if len(having) < 2:
+        return None
+
+    def standing(i: int) -> tuple[bool, float, int]:
+        verdict, trajectory = runs[i].verdict, runs[i].trajectory
+        return failure(runs[i]) is None, verdict.confidence if verdict else 0.0, len(trajectory) if trajectory else 0
+
+    chosen = max(having, key=standing)
+    reference = runs[chosen].trajectory
+    found: dict[int, Sim3] = {}
+    for i in having:
+        trajectory = runs[i].trajectory
+        matched = match(trajectory, reference) if trajectory is not None and i != chosen else None
+        if matched is None or len(matched) < 3:
+            continue
+        if moves(matched.estimate.positions) and moves(matched.truth.positions):
+            found[i] = umeyama(matched.estimate.positions, matched.truth.positions)
+    return chosen, found
 
 
 def error_figure(runs: Sequence[Run], labels: Sequence[str], colours: Sequence[int], kind: str) -> Figure | None:

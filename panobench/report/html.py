@@ -17,9 +17,9 @@ import jinja2
 from markupsafe import Markup, escape
 
 from panobench import __version__
+from panobench.bench.cautions import CAUTIONS, WRONG
 from panobench.bench.paper import Published
 from panobench.errors import UnavailableError
-from panobench.report.accuracy import FLAGS
 from panobench.report.headline import default_title, facts, measurements, tiles
 from panobench.report.images import BUDGET, SMALLEST
 from panobench.report.mapview import MOST, MOST_IN_ALL, map_size
@@ -28,7 +28,7 @@ from panobench.report.panoramas import Gallery, copy_map, make_gallery
 from panobench.report.ranking import RANKING_RULE, failure
 from panobench.report.sections import cost_charts, place_section
 from panobench.report.studies import study_section
-from panobench.report.table_model import Table, natural
+from panobench.report.table_model import Row, Table, natural
 from panobench.report.tables import run_tables
 from panobench.report.variants import variants
 from panobench.writing import TEXT
@@ -93,6 +93,7 @@ def _page(
         "cost_charts": cost_charts(grouped, data),
         "failures": [(run, failure(run), label_of[id(run)]) for run in collection.runs if failure(run)],
         "doubtful": [(i, run, label_of[id(run)]) for i, run in enumerate(collection.runs) if run.doubtful],
+        "told": collection.runs[0].cautions if len(collection.runs) == 1 else (),
         "problems": collection.problems,
         "protocols": sorted({run.protocol for run in collection.runs if run.protocol}),
         "runs": [_run_details(i, run, label_of[id(run)], gallery) for i, run in enumerate(collection.runs)],
@@ -163,13 +164,24 @@ def _environment() -> jinja2.Environment:
     environment.filters["safe_json"] = safe_json
     environment.filters["breakable"] = breakable
     environment.globals["facet_values"] = facet_values
-    environment.globals["flag_titles"] = FLAGS
+    environment.globals["flag_titles"] = {
+        **CAUTIONS,
+        "other data": "the figures are for other data; see below the table",
+    }
+    environment.globals["wrong_flags"] = WRONG
+    environment.globals["asides"] = asides
     return environment
 
 
 def breakable(text: str) -> Markup:
     """The text, escaped, with places where a narrow column may break long names of options."""
     return Markup(re.sub(r"([_=:/])(?=\w)", r"\1<wbr>", str(escape(text))))
+
+
+def asides(table: Table, row: Row) -> str:
+    """The texts of a row besides its name: narrow screens show them below it instead of in columns of their own."""
+    cells = zip(table.columns[1:], row.cells[1:])
+    return ", ".join(cell.text for column, cell in cells if not column.numeric and cell.text)
 
 
 def facet_values(table: Table) -> dict[str, list[str]]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from panobench.errors import InputError
+from panobench.geometry import Sim3
 from panobench.report.figures import numbers
 from panobench.report.model import Array, Run
 
@@ -19,11 +20,20 @@ _MIN_OPACITY = 0.5
 _OPEN_FROM = 0.55
 
 
-def map_trace(run: Run, turn: Array, *, most: int = MOST, seed: int = 0) -> dict[str, Any] | None:
+def map_trace(
+    run: Run,
+    turn: Array,
+    *,
+    onto: Sim3 | None = None,
+    box: tuple[Array, Array] | None = None,
+    most: int = MOST,
+    seed: int = 0,
+) -> dict[str, Any] | None:
     """A Plotly trace of the run's map in the world of the plot; None when there is no readable map.
 
-    turn: rotation (3, 3) from the ground truth's world into the plot's, whose z is up. The sample is drawn
-    without replacement with probability proportional to each Gaussian's extent.
+    turn: rotation (3, 3) from the ground truth's world into the plot's, whose z is up. onto: what moved the run's path
+    onto another one, without ground truth. box: corners of what the plot shows; Gaussians outside are left out. The
+    sample is drawn without replacement with probability proportional to each Gaussian's extent.
     """
     from panobench.splat.ply import read_ply
 
@@ -38,10 +48,14 @@ def map_trace(run: Run, turn: Array, *, most: int = MOST, seed: int = 0) -> dict
     eyes = run.trajectory.positions
     if run.errors is not None:
         points, eyes = run.errors.transform.apply_points(points), run.errors.transform.apply_points(eyes)
+    elif onto is not None:
+        points, eyes = onto.apply_points(points), onto.apply_points(eyes)
     points, eyes = points @ turn.T, eyes @ turn.T
     opacity = 1.0 / (1.0 + np.exp(-np.asarray(gaussians.opacity_logits, dtype=np.float64).ravel()))
     extent = np.exp(np.asarray(gaussians.log_scales, dtype=np.float64)).max(axis=1)
     keep = (opacity > _MIN_OPACITY) & np.isfinite(points).all(axis=1) & np.isfinite(extent)
+    if box is not None:
+        keep &= ((points >= box[0]) & (points <= box[1])).all(axis=1)
     if keep.sum() < 50:
         return None
     level = float(np.median(eyes[:, 2]))

@@ -10,6 +10,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.bench.cautions import cautions
 from panobench.bench.record import RunRecord, VerdictRecord
 from panobench.bench.study_record import StoredStudy
 from panobench.geometry import Sim3
@@ -73,7 +74,8 @@ class Errors:
 class Run:
     """One run folder: its record, and the other files in it.
 
-    frames: columns of frames.csv. pairs: renders beside what they should show. warnings: files that cannot be read.
+    frames: columns of frames.csv. pairs: renders beside what they should show. mask: a
+    picture of where those were compared, white; None: everywhere. warnings: files that cannot be read.
     """
 
     folder: Path
@@ -83,6 +85,7 @@ class Run:
     errors: Errors | None = None
     frames: Mapping[str, Array] = field(default_factory=dict)
     pairs: tuple[ImagePair, ...] = ()
+    mask: Path | None = None
     depth: DepthPictures | None = None
     log_tail: str = ""
     warnings: tuple[str, ...] = ()
@@ -156,9 +159,19 @@ class Run:
         return self.record.depth.poses_given
 
     @property
-    def failed_start(self) -> bool:
-        """The map started from a depth that had failed its own check."""
-        return self.record.depth.ok is False
+    def cautions(self) -> tuple[str, ...]:
+        """What a reader must know before comparing it; see ``bench.cautions``."""
+        return cautions(self.record)
+
+    @property
+    def truncated(self) -> int | None:
+        """The number of frames it stopped after because it was asked to, None where it had the whole sequence."""
+        most, planned = self.record.spec.option("max_frames"), self.record.frames.planned
+        return most if most is not None and (planned is None or planned >= most) else None
+
+    def option(self, name: str) -> str:
+        """A run option that took effect, as text; "" for none."""
+        return self.variant.get(name, "")
 
     @property
     def verdict(self) -> VerdictRecord | None:
@@ -191,11 +204,12 @@ class Problem:
 
 @dataclass(frozen=True)
 class Collection:
-    """Everything a report is made from."""
+    """Everything a report is made from. written: the files of the report, once there is one."""
 
     runs: tuple[Run, ...]
     problems: tuple[Problem, ...] = ()
     studies: tuple[StoredStudy, ...] = ()
+    written: tuple[Path, ...] = ()
 
     def places(self) -> list[tuple[str, str]]:
         """Distinct (dataset, sequence), sorted."""

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from panobench.report.images import BUDGET, Picture, Plan, encode_file, plan, spread
+import numpy as np
+
+from panobench.report.images import BUDGET, Picture, Plan, encode, encode_file, plan, read, spread
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
 from panobench.writing import write_whole
@@ -49,6 +51,18 @@ class Gallery:
                 self.links[digest] = f"{self.assets.name}/{target.name}"
         return digest
 
+    def add_mask(self, path: Path | None) -> str | None:
+        """The key of a picture that is black over what a mask hides and clear elsewhere; None without a mask."""
+        image = None if path is None else read(path)
+        if image is None:
+            return None
+        key = f"mask-{hashlib.sha1(image.tobytes(), usedforsecurity=False).hexdigest()[:12]}"
+        if key not in self.store:
+            cover = np.zeros((*image.shape[:2], 4), np.uint8)
+            cover[..., 3] = np.where(image.reshape(*image.shape[:2], -1).max(axis=2) < 128, 255, 0)
+            self.store[key] = encode(cover, self.plan.width, 100).uri
+        return key
+
 
 def copy_map(run: Run, gallery: Gallery, number: int) -> str | None:
     """Copy the run's map.ply to the assets; the link to it, None without assets or map."""
@@ -70,7 +84,8 @@ def viewer(runs: Sequence[Run], labels: Sequence[str], gallery: Gallery) -> dict
     """Data of the viewer of one sequence, None without pictures.
 
     Keys: frames (indices), start (which entry of runs is shown first), panorama (whether one can look around in any),
-    runs (each label, run, width, height, panorama, and images: frame -> [render key, truth key or None]).
+    runs (each label, run, width, height, panorama, mask: the key of a cover for what was not compared or None, and
+    images: frame -> [render key, truth key or None]).
     """
     frames = choose_frames(runs, gallery.plan.frames)
     shown: list[dict[str, Any]] = []
@@ -88,6 +103,7 @@ def viewer(runs: Sequence[Run], labels: Sequence[str], gallery: Gallery) -> dict
             width, height = gallery.sizes[str(next(iter(images.values()))[0])]
             around = width == 2 * height and run.variant.get("camera", "erp").startswith("erp")
             about = {"label": labels[i], "run": i, "width": width, "height": height, "panorama": around}
+            about["mask"] = gallery.add_mask(run.mask)
             shown.append({**about, "images": images})
     if not shown:
         return None

@@ -30,10 +30,17 @@ def shortened(text: str) -> str:
     return _PATH.sub(r"…/\1", text)
 
 
+def _command(text: str) -> str:
+    """A command whose files are named as if they lay in the folder it is given in: what is copied can be run there."""
+    return _PATH.sub(r"\1", text)
+
+
 def _run(run: Run) -> Run:
+    record = RunRecord.from_dict(_everywhere(run.record.to_dict()))
+    record.provenance.command = _command(run.record.provenance.command)
     return replace(
         run,
-        record=RunRecord.from_dict(_everywhere(run.record.to_dict())),
+        record=record,
         log_tail=shortened(run.log_tail),
         warnings=tuple(shortened(w) for w in run.warnings),
     )
@@ -41,7 +48,10 @@ def _run(run: Run) -> Run:
 
 def _study(study: StoredStudy) -> StoredStudy:
     result = replace(study.result, notes=[shortened(note) for note in study.result.notes])
-    return StoredStudy(study.folder, result, _everywhere(study.provenance))
+    about = _everywhere(study.provenance)
+    if "command" in study.provenance:
+        about["command"] = _command(str(study.provenance["command"]))
+    return StoredStudy(study.folder, result, about)
 
 
 def _everywhere(value: Any) -> Any:

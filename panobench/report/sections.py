@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from panobench.report import figures
 from panobench.report.mapview import MOST, map_size, map_trace
 from panobench.report.model import Run
@@ -60,9 +62,15 @@ def place_section(
             data["figures"][f"{key}-{name}"] = figure
             charts.append(Chart(f"{key}-{name}", title, about, **style))
 
-    spatial, plan = figures.trajectory_figures(runs, labels, colours)
+    aligned = figures.alignment_without_truth(runs)
+    onto = aligned[1] if aligned else {}
+    spatial, plan = figures.trajectory_figures(runs, labels, colours, onto)
     drawn = best_map(runs)
-    trace = map_trace(runs[drawn], figures.upright(runs), most=map_points) if drawn is not None else None
+    trace = None
+    if drawn is not None:
+        ranges = [spatial["layout"]["scene"][f"{k}axis"].get("range") for k in "xyz"]
+        box = (np.array([r[0] for r in ranges]), np.array([r[1] for r in ranges])) if all(ranges) else None
+        trace = map_trace(runs[drawn], figures.upright(runs), onto=onto.get(drawn), box=box, most=map_points)
     if trace is not None:
         spatial["data"].append(trace)
         spatial["layout"]["scene"]["camera"]["eye"] = {"x": 0.98, "y": -1.38, "z": 1.32}
@@ -70,7 +78,9 @@ def place_section(
     own = [replace(r, errors=None) if r.given_poses else r for r in runs]
     described = [f"{label}: {figures.describe_errors(r.errors)}" for r, label in zip(own, labels) if r.errors]
     about = "Position error after alignment. " + "; ".join(described)
-    add("3d", "Trajectory", "Aligned trajectories and ground truth in space", spatial, size="wide", spatial=True)
+    truth = any(r.groundtruth is not None for r in runs)
+    what = "Aligned trajectories and ground truth in space" if truth else "Trajectories in space"
+    add("3d", "Trajectory", what, spatial, size="wide", spatial=True)
     add("top", "From above", "The same trajectories seen from above", plan, size="narrow")
     error = figures.error_figure(own, labels, colours, "translation")
     add("ate", "Position error over time", about, error, size="wide")
@@ -100,7 +110,12 @@ def place_section(
         "dataset": runs[0].dataset,
         "sequence": runs[0].sequence,
         "runs": [
-            {"label": label, "colour": c, "anchor": None, "reason": failure(r), "drawn": bool(r.errors)}
+            {
+                "label": label,
+                "colour": c,
+                "reason": failure(r),
+                "cautions": r.cautions,
+            }
             for label, c, r in zip(labels, colours, runs)
         ],
         "charts": charts,
@@ -109,7 +124,13 @@ def place_section(
         "novel": novel,
         "map": labels[drawn] if trace is not None and drawn is not None else None,
         "alignment": sorted({r.errors.alignment for r in runs if r.errors}),
-        "has_truth": any(r.groundtruth is not None for r in runs),
+        "has_truth": truth,
+        "onto": labels[aligned[0]] if aligned else None,
+        "not_aligned": [
+            label
+            for i, label in enumerate(labels)
+            if aligned and runs[i].trajectory is not None and i != aligned[0] and i not in onto
+        ],
     }
 
 

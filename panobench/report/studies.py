@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -25,6 +26,8 @@ _HEADING = re.compile(r"^(?P<label>.*?)(?:\s*\[(?P<unit>[^\]]*)\])?\s*(?P<arrow>
 _BETTER = {"↓": "lower", "↑": "higher", "": "none"}
 #: The column that says where a row's figures come from; it becomes the row's style.
 SOURCE = "source"
+#: Columns that say under what conditions a row was measured: only rows with the same ones compete.
+CONDITIONS = ("Disturbance", "Preset", "Dataset", "Sequence", "Data")
 
 
 def study_tables(studies: Iterable[StoredStudy]) -> list[Table]:
@@ -45,6 +48,8 @@ def _table(result: StudyResult, name: str, rows: Sequence[Mapping[str, Any]]) ->
         Row(
             tuple(_cell(row.get(key), column) for key, column in zip(keys, columns)),
             "published" if row.get(SOURCE) == "published" else "measured",
+            group="; ".join(str(row.get(key)) for key in keys if key in CONDITIONS),
+            facts={key: str(row[key]) for key in keys if row.get(key) is not None and not _is_number(row[key])},
         )
         for row in rows
     ]
@@ -110,8 +115,19 @@ def study_section(number: int, study: StoredStudy, data: dict[str, Any]) -> dict
         "tables": study_tables([study]),
         "charts": charts,
         "notes": result.notes,
-        "command": str(study.provenance.get("command") or ""),
+        "command": again(str(study.provenance.get("command") or ""), study.folder.name),
     }
+
+
+def again(command: str, folder: str) -> str:
+    """The command of a study with a folder to write to that is right wherever the page is read."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return command
+    if "--out" in words[:-1]:
+        words[words.index("--out") + 1] = folder or "study"
+    return shlex.join(words)
 
 
 def prepared(figure: Mapping[str, Any]) -> Figure:

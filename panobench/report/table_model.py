@@ -18,7 +18,10 @@ NOT_RUN = "–"
 
 @dataclass(frozen=True)
 class Column:
-    """A column: ``key`` for machines, ``label`` and ``unit`` for people, ``better`` "lower", "higher" or "none"."""
+    """A column: ``key`` for machines, ``label`` and ``unit`` for people, ``better`` "lower", "higher" or "none".
+
+    sequence: the column is one sequence's, and the table is about one quantity.
+    """
 
     key: str
     label: str
@@ -26,6 +29,7 @@ class Column:
     better: str = "none"
     numeric: bool = True
     about: str = ""
+    sequence: bool = False
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,8 @@ class Cell:
 class Row:
     """A row: cells in column order. facets: values for filters. target: an anchor to link to. flags: one-word warnings.
 
-    competes: its cells may be the best or second best of their columns.
+    competes: its cells may be the best or second best of their columns, among the rows of its group: those that were
+    measured on the same data and under the same conditions. facts: what the row is about, for programs.
     """
 
     cells: tuple[Cell, ...]
@@ -59,11 +64,16 @@ class Row:
     target: str = ""
     flags: tuple[str, ...] = ()
     competes: bool = True
+    group: str = ""
+    facts: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a name for files, a title, a caption, and notes printed below it."""
+    """A table with a name for files, a title, a caption, and notes printed below it.
+
+    caption: what holds in every format. below: what the page says besides, of what it prints below a cell's number.
+    """
 
     name: str
     title: str
@@ -71,6 +81,7 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()
+    below: str = ""
 
 
 def format_number(value: float, digits: int) -> str:
@@ -104,16 +115,23 @@ def spread_text(summary: Summary, text: Callable[[float], str]) -> str:
 
 
 def mark_ranks(columns: Sequence[Column], rows: list[Row]) -> list[Row]:
-    """The same rows with best and second best marked per column; published, failed and given cells do not compete."""
+    """The same rows with best and second best marked per column and group of rows.
+
+    Published, failed and given cells do not compete.
+    """
     for j, column in enumerate(columns):
         if column.key == "succeeded":
             continue
-        competing = [row.competes and row.origin != "published" and not row.cells[j].failed for row in rows]
-        marks = ranks(
-            [row.cells[j].text if ok else None for row, ok in zip(rows, competing)],
-            [row.cells[j].value if ok else None for row, ok in zip(rows, competing)],
-            column.better,
-        )
+        marks: list[int | None] = [None] * len(rows)
+        for group in dict.fromkeys(row.group for row in rows):
+            members = [
+                i
+                for i, row in enumerate(rows)
+                if row.group == group and row.competes and row.origin != "published" and not row.cells[j].failed
+            ]
+            cells = [rows[i].cells[j] for i in members]
+            for i, mark in zip(members, ranks([c.text for c in cells], [c.value for c in cells], column.better)):
+                marks[i] = mark
         rows = [
             replace(row, cells=(*row.cells[:j], replace(row.cells[j], rank=mark), *row.cells[j + 1 :]))
             for row, mark in zip(rows, marks)

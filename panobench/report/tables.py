@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from panobench.bench.paper import Published
+from panobench.bench.request import run_options
 from panobench.bench.statistics import summarise
-from panobench.report.accuracy import accuracy_table, competes, flags
+from panobench.report.accuracy import accuracy_table, competes, conditions, facts, flags
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
 from panobench.report.studies import study_tables
@@ -108,7 +109,20 @@ def quantity_table(name: str, title: str, quantities: Sequence[Quantity], groupe
             for quantity in quantities:
                 cells.append(_mean_of_medians(good, sequences, quantity))
             facets = {"method": variant.method, "dataset": dataset}
-            block.append(Row(tuple(cells), variant.origin, facets, flags=flags(good), competes=competes(good)))
+            # means over other sequences, or of pictures of another size, are no better or worse
+            inputs = [option.name for option in run_options() if option.changes_input and option.label is not None]
+            group = f"{', '.join(sequences)}; {conditions(good, inputs)}"
+            block.append(
+                Row(
+                    tuple(cells),
+                    variant.origin,
+                    facets,
+                    flags=flags(good),
+                    competes=competes(good),
+                    group=group,
+                    facts={**facts(good), "dataset": dataset},
+                )
+            )
         rows += mark_ranks(columns, block)
     caption = "Mean over the sequences a method succeeded on, each the median of its repeats."
     return Table(name, title, caption, tuple(columns), tuple(rows))
@@ -156,7 +170,7 @@ def runs_table(collection: Collection, grouped: dict[Variant, list[Run]]) -> Tab
             cells.append(Cell(quantity.text(value), None if value is None else value * quantity.scale))
         facets = {"method": variant.method, "sequence": run.sequence, "status": "failed" if reason else "ok"}
         anchor = run_anchor(collection, run)
-        rows.append(Row(tuple(cells), run.origin, facets, target=anchor, flags=flags([run])))
+        rows.append(Row(tuple(cells), run.origin, facets, target=anchor, flags=flags([run]), facts=facts([run])))
     return Table("runs", "All runs", "One row per run, as measured.", tuple(columns), tuple(rows))
 
 

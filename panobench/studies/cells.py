@@ -106,7 +106,9 @@ def values(results: dict[str, Stored], cells: Sequence[Cell], key: str) -> list[
     found: list[float | None] = []
     for cell in cells:
         stored = results.get(cell.identity)
-        if stored is None or not stored.record.ok:
+        if stored is None:  # nobody ran it, which is no failure
+            continue
+        if not stored.record.ok:
             found.append(None)
             continue
         value = stored.record.number(key)

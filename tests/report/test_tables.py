@@ -5,15 +5,21 @@ import io
 import json
 import math
 import re
+import shutil
+import subprocess
+from pathlib import Path
 
 import pytest
 
 from panobench.bench.paper import Published, load_published
+from panobench.bench.study_record import StoredStudy, StudyResult
+from panobench.report.build import write_report
 from panobench.report.collect import collect
 from panobench.report.exports import FORMATS, csv_text, latex_text
 from panobench.report.headline import tiles
 from panobench.report.model import Collection
 from panobench.report.ranking import failure, ranks
+from panobench.report.studies import study_tables
 from panobench.report.table_model import format_number, length_text
 from panobench.report.tables import build_tables
 from panobench.report.variants import variants
@@ -191,7 +197,9 @@ def test_numbers_print_with_fixed_digits():
 def test_exports_hold_the_same_numbers(suite):
     tables = build_tables(collect([suite]), PUBLISHED)
     latex = FORMATS["latex"](tables)
-    assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == len(tables)
+    assert latex.count(r"\toprule") == latex.count(r"\bottomrule") == latex.count(r"\label") >= len(tables)
+    assert "In brackets, the share of frames tracked." in latex
+    assert "Below each" not in latex, "exports print nothing below a number"
     assert r"\textbf{1.73}" in latex
     assert r"/ {\scriptsize(60\%)}" in latex
     assert re.search(r"\\textit\{ORB-SLAM3\}.*published", latex)
@@ -200,17 +208,90 @@ def test_exports_hold_the_same_numbers(suite):
     document = json.loads(FORMATS["json"](tables))
     assert [t["name"] for t in document["tables"]] == [t.name for t in tables]
     rows = list(csv.DictReader(io.StringIO(FORMATS["csv"]([t for t in tables if t.name == "runs"]))))
-    assert len(rows) == 8
-    assert float(rows[0]["ate_rmse_m [mm]"]) > 0
-    assert sum(row["ate_rmse_m [mm]"] == "/" for row in rows) == 2
+    ate = [row for row in rows if row["quantity"] == "ate_rmse_m"]
+    assert len(ate) == 8
+    assert (float(ate[0]["value"]) > 0, ate[0]["unit"], ate[0]["width"], ate[0]["camera"]) == (True, "mm", "512", "erp")
+    assert sum((row["failed"], row["value"]) == ("1", "") for row in ate) == 2
+
+
+def test_pandas_reads_every_table_written_as_csv(suite, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    written = write_report([suite], tmp_path / "all.csv").written
+    assert [p.name for p in written] == ["all.csv", "all.ate-rooms.csv", "all.rendering.csv", "all.cost.csv"]
+    for path in written:
+        read = pandas.read_csv(path)
+        assert {"method", "preset", "camera", "width", "quantity", "value", "unit"} <= set(read.columns)
+        assert read["value"].dtype.kind == "f"
+        assert not read.duplicated(
+            ["label", "sequence", "seed", "quantity", "unit"] if path.stem == "all" else None
+        ).any()
+    ate = pandas.read_csv(written[1]).query("quantity == 'ate_rmse' and method == 'panogs'")
+    assert set(ate["sequence"]) == {"room1", "room2"}
+
+
+def test_latex_fits_the_page(suite, tmp_path):
+    program = shutil.which("pdflatex")
+    if program is None:
+        pytest.skip("needs pdflatex")
+    (tmp_path / "tables.tex").write_text(FORMATS["latex"](build_tables(collect([suite]), PUBLISHED)), encoding="utf-8")
+    document = (
+        r"\documentclass{article}\usepackage[T1]{fontenc}\usepackage{booktabs,graphicx}"
+        r"\begin{document}\input{tables}\end{document}"
+    )
+    (tmp_path / "paper.tex").write_text(document, encoding="utf-8")
+    command = [program, "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout[-2000:]
+    log = (tmp_path / "paper.log").read_text(errors="replace")
+    assert "Overfull" not in log
+    assert "Float too large" not in log
+
+
+def test_published_figures_of_whole_sequences_stand_beside_no_part_of_one(make_run, edit):
+    folder = make_run("a", spec={"max_frames": 40})
+    edit(folder, lambda d: d.update(frames={"given": 40, "planned": 40, "tracked": 40}))
+    make_run("b", sequence="room2")
+    found = table(collect([folder.parent]), "ate-rooms", PUBLISHED)
+    rows = by_label(found)
+    assert (rows["PanoGS-SLAM"]["room1"].text, rows["PanoGS-SLAM"]["room2"].text) == ("–", "18.0")
+    assert any("room1" in note and "40 frames" in note for note in found.notes)
+    assert {row.flags for row in found.rows if row.origin == "published"} == {("other data",)}
+    assert all(r.origin == "measured" for r in table(collect([folder]), "ate-rooms", PUBLISHED).rows)
+
+
+def test_only_what_was_measured_on_the_same_data_competes(make_run, edit):
+    short = {"spec": {"max_frames": 20}}
+    make_run("a", method="one", noise=0.001, **short)
+    make_run("b", method="one", noise=0.002)
+    store = make_run("c", method="two", noise=0.003).parent
+    rows = by_label(table(collect([store]), "ate-rooms"))
+    assert rows["one · 20 frames"]["room1"].rank is None
+    assert (rows["one"]["room1"].rank, rows["two"]["room1"].rank) == (1, 2)
+
+
+def test_a_study_marks_the_best_of_each_disturbance():
+    rows = [
+        {"Disturbance": what, "Method": name, "ATE [mm] ↓": value}
+        for what, name, value in (("blur", "a", 1.0), ("blur", "b", 2.0), ("noise", "a", 5.0), ("noise", "b", 4.0))
+    ]
+    (found,) = study_tables([StoredStudy(Path("x"), StudyResult("r", {"r": rows}))])
+    assert [row.cells[2].rank for row in found.rows] == [1, 2, 2, 1]
+
+
+def test_a_start_from_constant_depth_is_flagged(make_run, edit):
+    folder = make_run("a")
+    edit(folder, lambda d: d["depth"].update(source="constant"))
+    assert table(collect([folder]), "ate-rooms").rows[0].flags == ("constant depth",)
 
 
 def test_every_latex_row_has_the_columns_its_head_announces(suite):
     for found in build_tables(collect([suite]), PUBLISHED):
         latex = FORMATS["latex"]([found])
         for line in latex.splitlines():
+            if r"\begin{tabular}" in line:
+                columns = len(line.split("{")[-1].rstrip("}"))
             if line.endswith(r"\\"):
-                assert len(re.findall(r"(?<!\\)&", line)) == len(found.columns) - 1
+                assert len(re.findall(r"(?<!\\)&", line)) == columns - 1
 
 
 def test_names_from_data_cannot_break_an_export(make_run):

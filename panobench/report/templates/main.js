@@ -44,10 +44,27 @@ PB.extras = {
         setTimeout(() => { button.textContent = "Copy"; }, 1500);
       });
     });
+    const find = document.querySelector("[data-runs]");
+    if (find) {
+      const runs = PB.all("#runs > .run"), count = find.querySelector(".count");
+      const apply = () => {
+        const words = find.querySelector("input").value.trim().toLowerCase().split(/\s+/);
+        const shown = runs.filter(run => {
+          const text = run.textContent.toLowerCase();
+          run.hidden = !words.every(word => text.includes(word));
+          return !run.hidden;
+        }).length;
+        count.textContent = shown === runs.length ? `${shown} runs` : `${shown} of ${runs.length} runs`;
+      };
+      find.hidden = false;
+      find.addEventListener("input", apply);
+      apply();
+    }
+    // Paper shows the commands of a few runs; configuration stays with the page and run.json.
     let closed = [];
-    addEventListener("beforeprint", () => { 
+    addEventListener("beforeprint", () => {
       const many = PB.all(".run").length > 4;
-      closed = PB.all("details:not([open])").filter(d => !(many && d.matches(".inner")));
+      closed = PB.all("details:not([open])").filter(d => !d.matches(".inner") && !(many && d.matches(".run")));
       closed.forEach(d => { d.open = true; });
     });
     addEventListener("afterprint", () => closed.forEach(d => { d.open = false; }));

@@ -3,8 +3,8 @@ PB.pano = (() => {
     in vec2 p; void main() { gl_Position = vec4(p, 0.0, 1.0); }`;
   const FRAGMENT = `#version 300 es
     precision highp float;
-    uniform sampler2D truth, render;
-    uniform vec2 size; uniform float yaw, pitch, spread, divide; uniform int mode;
+    uniform sampler2D truth, render, cover;
+    uniform vec2 size; uniform float yaw, pitch, spread, divide; uniform int mode; uniform bool covered;
     out vec4 colour;
     const float PI = 3.14159265358979;
     void main() {
@@ -18,6 +18,7 @@ PB.pano = (() => {
       vec3 a = textureLod(truth, uv, 0.0).rgb, b = textureLod(render, uv, 0.0).rgb;
       vec3 rgb = mode == 1 ? a : mode == 2 ? b : mode == 3 ? 4.0 * abs(a - b)
         : gl_FragCoord.x < divide * size.x ? b : a;
+      if (covered && mode == 3 && textureLod(cover, uv, 0.0).a > 0.5) rgb = vec3(0.0);
       colour = vec4(rgb, 1.0);
     }`;
   const MODES = { compare: 0, truth: 1, render: 2, difference: 3 };
@@ -46,7 +47,7 @@ PB.pano = (() => {
     gl.enableVertexAttribArray(place);
     gl.vertexAttribPointer(place, 2, gl.FLOAT, false, 0, 0);
     const at = name => gl.getUniformLocation(program, name);
-    const textures = ["truth", "render"].map((name, unit) => {
+    const textures = ["truth", "render", "cover"].map((name, unit) => {
       const texture = gl.createTexture();
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -59,9 +60,9 @@ PB.pano = (() => {
     });
     const loaded = textures;
     return (shared = {
-      draw(truth, render, target, view) {
-        [truth, render].forEach((image, unit) => {
-          if (loaded[unit] === image) return;
+      draw(truth, render, target, view, cover = null) {
+        [truth, render, cover].forEach((image, unit) => {
+          if (!image || loaded[unit] === image) return;
           gl.activeTexture(gl.TEXTURE0 + unit);
           gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
           loaded[unit] = image;
@@ -77,6 +78,7 @@ PB.pano = (() => {
         gl.uniform1f(at("spread"), view.spread);
         gl.uniform1f(at("divide"), view.divide);
         gl.uniform1i(at("mode"), MODES[view.mode]);
+        gl.uniform1i(at("covered"), cover ? 1 : 0);
         gl.drawArrays(gl.TRIANGLES, 0, 3);
         target.getContext("2d").drawImage(canvas, 0, 0);
       },
@@ -88,6 +90,7 @@ PB.pano = (() => {
     const stage = figure.querySelector(".stage"), canvas = figure.querySelector("canvas.look");
     const wipe = figure.querySelector(".wipe"), handle = figure.querySelector(".handle");
     const images = { truth: figure.querySelector("img.truth"), render: figure.querySelector("img.render") };
+    const cover = figure.querySelector("img.cover");
     const caption = figure.querySelector("figcaption");
     const state = { mode: "compare", view: "flat", run: data.start, frame: 0, yaw: 0, pitch: 0, spread: 1.75, ready: false };
 
@@ -98,12 +101,13 @@ PB.pano = (() => {
       stage.style.setProperty("--share", `${100 * share}%`);
       canvas.hidden = !looking;
       wipe.hidden = !compare;
+      cover.hidden = !(state.mode === "difference" && cover.dataset.key);
       if (!state.ready) return;
       if (looking && stage.clientWidth && stage.clientHeight && context()) {
         const ratio = Math.min(devicePixelRatio || 1, 2);
         canvas.width = Math.round(stage.clientWidth * ratio);
         canvas.height = Math.round(stage.clientHeight * ratio);
-        context().draw(images.truth, images.render, canvas, { ...state, divide: share });
+        context().draw(images.truth, images.render, canvas, { ...state, divide: share }, cover.dataset.key ? cover : null);
       }
     }
     function paintViews() {
@@ -129,17 +133,19 @@ PB.pano = (() => {
       if (!truth && state.mode !== "render") setMode("render");
       images.render.src = PB.data.images[render];
       images.truth.src = PB.data.images[truth || render];
+      cover.dataset.key = run.mask || "";
+      if (run.mask) cover.src = PB.data.images[run.mask];
       images.render.alt = `Render of frame ${frame} by ${run.label}`;
-      images.truth.alt = truth ? `Ground truth of frame ${frame}` : "";
+      images.truth.alt = truth ? `Input frame ${frame}` : "";
       caption.textContent = `${run.label}, frame ${frame}. `;
-      [[render, "render"], [truth, "ground truth"]].forEach(([key, name]) => {
+      [[render, "render"], [truth, "input frame"]].forEach(([key, name]) => {
         if (!key || !PB.data.links[key]) return;
         const link = document.createElement("a");
         link.href = PB.data.links[key];
         link.textContent = `Full-size ${name}`;
         caption.append(link, " ");
       });
-      await Promise.all([images.render.decode(), images.truth.decode()]).catch(() => {});
+      await Promise.all([images.render.decode(), images.truth.decode(), ...(run.mask ? [cover.decode()] : [])]).catch(() => {});
       state.ready = images.render.naturalWidth > 0;
       repaint();
       if (state.ready && run.panorama) paintViews();
