@@ -16,9 +16,14 @@ from panobench.cameras.base import Camera
 from panobench.cameras.row_times import row_times
 from panobench.geometry import so3_log
 from panobench.methods.panogs.config import RollingShutterOptions
+from panobench.photometric.pyramid import F32
+from panobench.photometric.stereo import resize_panorama
 
 Pose = NDArray[np.float64]
 Image = NDArray[np.uint8]
+#: Displacements are worked out for one pixel in so many across and down (the first that divides the image), and
+#: interpolated.
+GRIDS_PX = (4, 2)
 
 
 class RollingShutter:
@@ -27,8 +32,12 @@ class RollingShutter:
     def __init__(self, camera: Camera, options: RollingShutterOptions) -> None:
         self.camera, self.readout_s = camera, 1e-3 * options.readout_ms
         self.least = options.least_px * float(np.sqrt(np.median(camera.solid_angle()[camera.valid_mask()])))
-        self.rays = np.nan_to_num(camera.rays())
-        self.rows = row_times(camera, self.rays) if self.enabled else None
+        grid = next((g for g in GRIDS_PX if camera.width % (2 * g) == 0 and camera.height % g == 0), 1)
+        self.coarse = camera.scaled(camera.width // grid) if self.enabled and grid > 1 else camera
+        self.rays = np.nan_to_num(self.coarse.rays())
+        self.rows = row_times(self.coarse, self.rays) if self.enabled else None
+        v, u = np.indices((camera.height, camera.width), dtype=np.float32)
+        self.pixels = np.stack([u, v], axis=-1)
         self._last: tuple[float, Pose] | None = None  # time and R_wc (3, 3) of the last frame
         self._rates: list[Pose] = []  # between the last frames, rad/s in the camera's axes
 
@@ -74,14 +83,26 @@ class RollingShutter:
             return image
         # A direction of the middle is seen by the row that sees it then: one step of fixed-point iteration finds it.
         seen = self._rotated(self.rays, -self.readout_s * self.rows, rate)
-        seen = self._rotated(self.rays, -self.readout_s * row_times(self.camera, seen), rate)
-        pixels, valid = self.camera.project(seen.reshape(-1, 3))
-        at = (np.where(valid[:, None], pixels, -1.0) - 0.5).reshape(*self.rows.shape, 2).astype(np.float32)
+        seen = self._rotated(self.rays, -self.readout_s * row_times(self.coarse, seen), rate)
+        at = self.pixels + self._shifts(seen)
         if self.camera.kind == "erp":
             wide = np.concatenate([image[:, -2:], image, image[:, :2]], axis=1)
             at[..., 0] = np.mod(at[..., 0], self.camera.width) + 2
             return np.asarray(cv2.remap(wide, at, np.empty(0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
         return np.asarray(cv2.remap(image, at, np.empty(0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+
+    def _shifts(self, seen: Pose) -> F32:
+        """Displacement (H, W, 2) of each pixel, from the directions (h, w, 3) in which the coarse ones are seen."""
+        panorama = self.camera.kind == "erp"
+        h, w = seen.shape[:2]
+        pixels, valid = self.coarse.project(seen.reshape(-1, 3))
+        own, _ = self.coarse.project(self.rays.reshape(-1, 3))
+        shift = np.where(valid[:, None], pixels - own, 0.0).reshape(h, w, 2)
+        if panorama:
+            shift[..., 0] = (shift[..., 0] + 0.5 * w) % w - 0.5 * w
+        shift = (shift * (self.camera.width / w)).astype(np.float32)
+        size = (self.camera.height, self.camera.width)
+        return np.stack([resize_panorama(shift[..., k], size, panorama) for k in (0, 1)], axis=-1)
 
     @staticmethod
     def rates_along(times: NDArray[np.float64], T_wc: Pose) -> Pose:

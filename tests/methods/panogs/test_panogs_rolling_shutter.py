@@ -31,7 +31,7 @@ def seen(camera: Camera, rate: np.ndarray, readout: float = READOUT) -> np.ndarr
     return np.clip(world(np.einsum("hwij,hwj->hwi", R, rays)), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize("camera", [ErpCamera(256, 128), PinholeCamera.from_fov(160, 120, 80)])
+@pytest.mark.parametrize("camera", [ErpCamera(256, 128), ErpCamera(210, 105), PinholeCamera.from_fov(160, 120, 80)])
 @pytest.mark.parametrize("rate", [(0.0, 3.5, 0.0), (2.0, -1.0, 1.5)])
 def test_a_rotating_camera_sees_what_a_still_one_sees(camera: Camera, rate: tuple[float, float, float]) -> None:
     w = np.array(rate)
