@@ -58,6 +58,8 @@ def convert(
     options = ExportOptions(every, image_format, workers or _cores())
     for name in names:
         opened = source.open(name)
+        for remark in opened.remarks():
+            typer.echo(f"{opened.name}: {remark}", err=True)
         for seen, targets in _sources(opened, _targets(opened, to, views, folder, width, fov)):
             _convert_one(seen, targets, options, dry_run, quiet)
 

@@ -22,8 +22,8 @@ from panobench.types import Imu, NovelView, Trajectory
 class ImageSource:
     """The files behind an ``ImageSequence``.
 
-    native:  camera of the stored images. depth: frame index -> depth file. inputs: further files read
-    (ground truth, calibration), for the checksums. novel: reads the novel views at native size.
+    native: camera of the stored images. depth: frame index -> depth file. inputs: further files read (ground truth,
+    calibration), for the checksums. remarks: see ``FrameSequence.remarks``. novel: reads the novel views, full size.
     """
 
     dataset: str
@@ -37,6 +37,7 @@ class ImageSource:
     depth: Mapping[int, Path] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
     notes: Mapping[str, Any] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
     novel: Callable[[], list[NovelView]] | None = None
 
 
@@ -130,6 +131,9 @@ class ImageSequence(FrameSequence):
             return views
         size = (self.camera.width, self.camera.height)
         return [NovelView(v.name, resize_image(v.image, *size), self.camera, v.T_wc) for v in views]
+
+    def remarks(self) -> list[str]:
+        return [*self.source.remarks]
 
     def provenance(self) -> dict[str, Any]:
         s = self.source

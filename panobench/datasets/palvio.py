@@ -24,6 +24,7 @@ from panobench.datasets.images import list_images, resize_image, to_rgb
 from panobench.datasets.listing import children
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.palvio_calibration import PalvioCalibration, find_calibration
+from panobench.datasets.palvio_mounting import mounted_by_gravity
 from panobench.datasets.trajectory_io import check_times, read_tum
 from panobench.datasets.trajectory_match import interpolate_poses
 from panobench.errors import DatasetError
@@ -51,11 +52,13 @@ class PalvioBagSequence(FrameSequence):
     """One bag. Opening reads stamps, IMU and motion capture in one pass; images are read on demand."""
 
     def __init__(self, path: Path, name: str, calibration: PalvioCalibration, width: int | None) -> None:
-        self.path, self.name, self.dataset, self.calibration = path, name, "palvio", calibration
+        self.path, self.name, self.dataset = path, name, "palvio"
         self._bag = BagFile(path)
         self._connections = self._bag.connections(calibration.image_topic, IMAGE)
         stat = path.stat()
         contents = _contents(path, (stat.st_size, stat.st_mtime_ns), _Wanted.of(calibration))
+        calibration, self._remarks = mounted_by_gravity(calibration, contents.imu)
+        self.calibration = calibration
         self._where, self.times = contents.where, contents.times
         self._dropped = contents.dropped
         self._imu = None if contents.imu is None else _mounted(contents.imu, calibration)
@@ -76,6 +79,9 @@ class PalvioBagSequence(FrameSequence):
     @property
     def imu(self) -> Imu | None:
         return self._imu
+
+    def remarks(self) -> list[str]:
+        return self._remarks
 
     def provenance(self) -> dict[str, Any]:
         return {
@@ -197,6 +203,7 @@ def _notes(calibration: PalvioCalibration) -> dict[str, Any]:
     return {
         "calibration": calibration.source,
         "evaluated_frame": "camera (body pose times body_T_cam)",
+        "body_T_cam": calibration.body_T_cam.tolist(),
         "imu_time_offset_s": calibration.time_offset_s,
     }
 
@@ -262,6 +269,7 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
     check_times(times, folder / "images")
     truth_path, imu_path = folder / "groundtruth.tum", folder / "imu.csv"
     imu = read_imu_csv(imu_path) if imu_path.is_file() else None
+    calibration, remarks = mounted_by_gravity(calibration, imu)
     if imu is not None:
         imu = _mounted(replace(imu, times=imu.times - calibration.time_offset_s), calibration)
     return ImageSource(
@@ -275,4 +283,5 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
         imu=imu,
         inputs=tuple(p for p in (truth_path, imu_path) if p.is_file()),
         notes=_notes(calibration),
+        remarks=tuple(remarks),
     )

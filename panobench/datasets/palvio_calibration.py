@@ -32,13 +32,15 @@ class PalvioCalibration:
     """What reading a PALVIO recording needs.
 
     body_T_cam: pose of the camera on the body (IMU axes), (4, 4). time_offset_s: IMU time minus camera time
-    of the same instant ('td' of the VINS family). gravity: m/s^2; PALVIO does not publish its own.
+    of the same instant ('td' of the VINS family). gravity: m/s^2; PALVIO does not publish its own. mounting_given:
+    body_T_cam is the user's; otherwise it is a published one, and the recording decides (``palvio_mounting``).
     """
 
     camera: Camera
     body_T_cam: Array
     time_offset_s: float
     gravity: float = STANDARD_GRAVITY
+    mounting_given: bool = False
     image_topic: str = "/mindvision/mindvision/left/image_mono"
     imu_topic: str = "/mavros/imu/data"
     groundtruth_topic: str = "/vicon/pal/pal"
@@ -87,14 +89,14 @@ def _changes(values: dict[str, Any], path: Path) -> dict[str, Any]:
         found = inspect_calibration(file)
         changes["camera"] = found.camera
         if found.body_T_cam is not None:
-            changes["body_T_cam"] = found.body_T_cam
+            changes |= {"body_T_cam": found.body_T_cam, "mounting_given": True}
         if found.time_offset_s is not None:
             changes["time_offset_s"] = found.time_offset_s
     if "body_T_cam" in values:
         T = number_array(values["body_T_cam"])
         if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-2):
             raise CalibrationError("'body_T_cam' is not a rigid 4x4 matrix", path)
-        changes["body_T_cam"] = renormalise(T)
+        changes |= {"body_T_cam": renormalise(T), "mounting_given": True}
     if "time_offset_s" in values:
         offset = values["time_offset_s"]
         if not isinstance(offset, (int, float)) or not abs(offset) < 1e9:

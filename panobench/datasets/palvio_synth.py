@@ -31,7 +31,10 @@ CAMERA_FILE = "palvio_camera.yaml"
 
 @dataclass(frozen=True)
 class BagOptions:
-    """frames: number of images (None: all). width: of the images (None: 1280). Noise: white, deviation per sample."""
+    """frames: number of images (None: all). width: of the images (None: 1280). Noise: white, deviation per sample.
+
+    body_T_cam: pose of the camera on the body (None: the calibration's).
+    """
 
     frames: int | None = None
     width: int | None = None
@@ -41,6 +44,7 @@ class BagOptions:
     truth_rate_hz: float = 100.0
     gyro_noise: float = 0.002
     accel_noise: float = 0.02
+    body_T_cam: Array | None = None
 
 
 class BodyMotion:
@@ -101,6 +105,8 @@ def write_palvio_bag(
     if path.exists():
         raise UsageError(f"{path} exists already; remove it or choose another --out")
     calibration = scaled_calibration(options.width)
+    if options.body_T_cam is not None:
+        calibration = replace(calibration, body_T_cam=options.body_T_cam)
     motion, frames, up = _plan(sequence, options, calibration)
     partial = path.with_name(path.name + ".partial")
     with writing(path):

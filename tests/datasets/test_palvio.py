@@ -18,6 +18,7 @@ from panobench.datasets.converted import ConvertedSequence
 from panobench.datasets.open import open_sequence
 from panobench.datasets.palvio import Palvio
 from panobench.datasets.palvio_calibration import STANDARD_GRAVITY, find_calibration, published_calibration
+from panobench.datasets.palvio_mounting import LOOKING_UP
 from panobench.datasets.palvio_synth import BagOptions, write_palvio_bag
 from panobench.datasets.synpano import SynPano
 from panobench.errors import CalibrationError, DatasetError, UsageError
@@ -150,6 +151,39 @@ def test_built_in_calibration_has_the_published_numbers() -> None:
     polar = np.degrees(np.arccos(camera.rays()[camera.valid_mask()][:, 2]))
     assert polar.min() == pytest.approx(38, abs=2)
     assert polar.max() == pytest.approx(117, abs=2)
+
+
+@pytest.mark.parametrize(
+    ("mounting", "remark"),
+    [
+        (None, None),
+        (LOOKING_UP, "that of LF-VIO's configuration file: by the IMU the one of its README is 9"),
+        (np.diag([1.0, -1.0, -1.0, 1.0]), "by the IMU the camera's upward direction is 8"),
+    ],
+    ids=["README", "mindvision.yaml", "neither"],
+)
+def test_gravity_decides_between_the_published_poses_on_the_body(
+    source: FrameSequence, tmp_path: Path, mounting: np.ndarray | None, remark: str | None
+) -> None:
+    """A bag that was made with one of them is read with the same, so that its ground truth is the source's."""
+    path = write_palvio_bag(tmp_path / "b.bag", source, BagOptions(width=160, seed=3, body_T_cam=mounting))
+    sequence = Palvio(path).open()
+    assert [remark is not None and remark in r for r in sequence.remarks()] == ([] if remark is None else [True])
+    assert source.groundtruth is not None
+    assert sequence.groundtruth is not None
+    off = np.abs(sequence.groundtruth.positions - source.groundtruth.positions[: len(sequence)]).max()
+    assert (off < 5e-4) == (mounting is None or mounting is LOOKING_UP)
+
+
+def test_a_pose_on_the_body_that_gravity_contradicts_is_said(bag: Path, tmp_path: Path) -> None:
+    copy_calibration(bag, tmp_path)
+    shutil.copy(bag, tmp_path)
+    with (tmp_path / "palvio.yaml").open("a") as file:
+        file.write(f"body_T_cam: {LOOKING_UP.tolist()}\n")
+    sequence = Palvio(tmp_path / bag.name).open()
+    assert sequence.imu is not None
+    assert np.allclose(sequence.imu.T_body_cam, LOOKING_UP)  # it is the user's, and stays
+    assert [r for r in sequence.remarks() if "degrees off the vertical" in r and "doubtful" in r]
 
 
 def test_a_calibration_file_beside_the_data_replaces_values(tmp_path: Path) -> None:
