@@ -98,10 +98,11 @@ def ate_cell(runs: Sequence[Run], unit: str, scale: float) -> Cell:
         return Cell(NOT_AVAILABLE, coverage=coverage, about="no ground truth to compare with")
     if not math.isfinite(summary.median):
         return Cell(FAILED, coverage=coverage, failed=True, about=", ".join(sorted(set(reasons))), repeats=len(runs))
+    part = conditions(runs, ("every", "max_frames"))  # other frames are other data
     spread = spread_text(summary, lambda v: length_text(v, unit))
     about = f"{len(reasons)} of {len(runs)} repeats failed" if reasons else ""
     text = length_text(summary.median, unit)
-    return Cell(text, summary.median, coverage, spread=spread, about=about, repeats=len(runs))
+    return Cell(text, summary.median, coverage, spread=spread, about=about, repeats=len(runs), group=part)
 
 
 def common_sequences(rows: Sequence[Sequence[Cell]]) -> list[int]:
@@ -152,7 +153,6 @@ def _row(
         facets,
         flags=flags(mine_runs),
         competes=competes(mine_runs),
-        group=conditions(mine_runs, ("every", "max_frames")),
         facts={**facts(mine_runs), "dataset": mine_runs[0].dataset},
     )
 

@@ -37,7 +37,7 @@ class Cell:
     """What is printed (``text``), what is sorted by (``value``), and what stands beside it.
 
     coverage: share of frames tracked, 0..1. rank: 1 best, 2 second. spread: repeats, quartiles and interval in
-    words, separated by "; ".
+    words, separated by "; ". group: what it competes within besides its row's group.
     """
 
     text: str
@@ -48,6 +48,7 @@ class Cell:
     spread: str = ""
     about: str = ""
     repeats: int = 1
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -123,11 +124,14 @@ def mark_ranks(columns: Sequence[Column], rows: list[Row]) -> list[Row]:
         if column.key == "succeeded":
             continue
         marks: list[int | None] = [None] * len(rows)
-        for group in dict.fromkeys(row.group for row in rows):
+        for group in dict.fromkeys((row.group, row.cells[j].group) for row in rows):
             members = [
                 i
                 for i, row in enumerate(rows)
-                if row.group == group and row.competes and row.origin != "published" and not row.cells[j].failed
+                if (row.group, row.cells[j].group) == group
+                and row.competes
+                and row.origin != "published"
+                and not row.cells[j].failed
             ]
             cells = [rows[i].cells[j] for i in members]
             for i, mark in zip(members, ranks([c.text for c in cells], [c.value for c in cells], column.better)):

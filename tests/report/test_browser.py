@@ -8,6 +8,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from chromium_pipe import Page, find_chromium
 from fake_runs import write_suite
@@ -273,3 +275,48 @@ def test_names_from_data_do_not_run(browser, make_run, tmp_path):
     assert browser.evaluate("window.pwned === undefined")
     assert browser.evaluate("document.querySelector('h1').textContent") == evil
     assert browser.errors == []
+
+
+def test_no_row_is_hidden_in_a_box_and_runs_can_be_found(browser, make_run, tmp_path):
+    for k in range(20):
+        make_run(f"r{k}", method=f"method{k:02d}", pictures=0, depth=False)
+    write_report([tmp_path / "runs"], tmp_path / "many.html")
+    browser.open(tmp_path / "many.html")
+    assert browser.evaluate("PB.all('.scroll').every(s => s.scrollHeight <= s.clientHeight + 1)")
+    assert (
+        browser.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--palette').split(' ').length")
+        >= 12
+    )
+    script = "(() => { const i = document.querySelector('[data-runs] input'); i.value = 'method07'; "
+    browser.evaluate(script + "i.dispatchEvent(new Event('input', {bubbles: true})); })()")
+    assert browser.evaluate("PB.all('#runs > .run').filter(r => !r.hidden).length") == 1
+    assert browser.evaluate("document.querySelector('[data-runs] .count').textContent") == "1 of 20 runs"
+
+
+def test_a_phone_shows_the_first_measurement_of_every_table(browser, report):
+    browser.resize(390, 800, mobile=True)
+    browser.open(report)
+    left = "PB.all('.table').map(t => [...t.querySelectorAll('tbody tr:first-child td')].find(c => c.offsetWidth))"
+    assert browser.evaluate(f"{left}.every(c => c.classList.contains('num') && c.getBoundingClientRect().right < 390)")
+    browser.resize(1280, 900)
+
+
+def test_what_a_mask_hides_is_black_in_the_difference(browser, make_run, tmp_path):
+    folder = make_run("masked", pictures=1)
+    mask = np.full((64, 128, 3), 255, np.uint8)
+    mask[48:] = 0
+    cv2.imwrite(str(folder / "renders" / "mask.png"), mask)
+    write_report([folder], tmp_path / "masked.html")
+    browser.open(tmp_path / "masked.html")
+    browser.evaluate("document.querySelector('.pano').scrollIntoView()")
+    browser.wait("document.querySelector('.pano[data-started]')")
+    browser.evaluate("document.querySelector('[data-mode=difference]').click()")
+    browser.wait("document.querySelector('img.cover').naturalWidth > 0")
+    assert browser.evaluate("!document.querySelector('img.cover').hidden")
+    alpha = "(() => { const c = document.createElement('canvas'), i = document.querySelector('img.cover'); "
+    alpha += (
+        "c.width = i.naturalWidth; c.height = i.naturalHeight; const x = c.getContext('2d'); "
+    alpha += "x.drawImage(i, 0, 0); "
+    )
+    alpha += "return [0.1, 0.9].map(y => x.getImageData(5, y * c.height, 1, 1).data[3]); })()"
+    assert browser.evaluate(alpha) == [0, 255]

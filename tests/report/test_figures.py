@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from panobench.datasets.trajectory_io import write_tum
 from panobench.geometry import Sim3, so3_exp
 from panobench.report import figures
 from panobench.report.collect import collect, read_run
@@ -12,6 +13,7 @@ from panobench.report.html import build_html
 from panobench.report.mapview import MOST, map_trace
 from panobench.report.variants import variants
 from panobench.splat.ply import write_ply
+from panobench.types import Trajectory
 
 
 def write_map(folder, n=200, opacity=4.0):
@@ -99,3 +101,26 @@ def test_a_page_has_every_plot_of_its_data(make_run, key):
     folder = make_run("a")
     write_map(folder)
     assert f'"seq0-{key}"' in build_html(collect([folder]))
+
+
+def test_without_truth_paths_are_aligned_to_the_most_trusted(make_run, edit):
+    folders = [make_run(name, truth=False, method=name, noise=0.0) for name in ("one", "two")]
+    turned = Sim3(3.0, so3_exp(np.array([0.2, 0.1, 0.0])), np.array([1.0, 2.0, 3.0]))
+    moved = read_run(folders[1]).trajectory
+    write_tum(folders[1] / "trajectory.tum", Trajectory(moved.times, turned.apply_poses(moved.T_wc)))
+    edit(folders[0], lambda d: d.update(verdict={"word": "trusted", "confidence": 0.9}))
+    runs = [read_run(folder) for folder in folders]
+    reference, onto = figures.alignment_without_truth(runs)
+    assert reference == 0
+    assert list(onto) == [1]
+    spatial, _ = figures.trajectory_figures(runs, ["one", "two"], [0, 1], onto)
+    first, second = (np.array([trace[k] for k in "xyz"]) for trace in spatial["data"])
+    assert np.abs(first - second).max() < 1e-3
+    assert figures.alignment_without_truth([runs[0]]) is None
+
+
+def test_a_lost_path_and_a_far_map_do_not_shrink_the_plot(make_run):
+    good, lost = make_run("a", noise=0.001), make_run("b", method="lost", status="lost", noise=400.0)
+    spatial, _ = figures.trajectory_figures([read_run(good), read_run(lost)], ["a", "b"], [0, 1])
+    low, high = spatial["layout"]["scene"]["xaxis"]["range"]
+    assert high - low < 8
