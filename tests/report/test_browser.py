@@ -314,9 +314,7 @@ def test_what_a_mask_hides_is_black_in_the_difference(browser, make_run, tmp_pat
     browser.wait("document.querySelector('img.cover').naturalWidth > 0")
     assert browser.evaluate("!document.querySelector('img.cover').hidden")
     alpha = "(() => { const c = document.createElement('canvas'), i = document.querySelector('img.cover'); "
-    alpha += (
-        "c.width = i.naturalWidth; c.height = i.naturalHeight; const x = c.getContext('2d'); "
+    alpha += "c.width = i.naturalWidth; c.height = i.naturalHeight; const x = c.getContext('2d'); "
     alpha += "x.drawImage(i, 0, 0); "
-    )
     alpha += "return [0.1, 0.9].map(y => x.getImageData(5, y * c.height, 1, 1).data[3]); })()"
     assert browser.evaluate(alpha) == [0, 255]
