@@ -154,7 +154,6 @@ def packages() -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
-@lru_cache(maxsize=1)
 def plugins() -> dict[str, str]:
     """Installed plugin distributions and their versions."""
     entries = importlib.metadata.entry_points(group="panobench")

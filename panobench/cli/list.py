@@ -108,7 +108,9 @@ def _option_lines(options: list[OptionDescription], width: int) -> Iterator[str]
             if width - len(indent) < 30:  # the terminal is too narrow for columns, and wraps
                 yield text
             else:
-                yield from textwrap.wrap(text, width, subsequent_indent=indent, break_long_words=False) or [text]
+                yield from textwrap.wrap(
+                    text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+                ) or [text]
 
 
 def _preset_lines(presets: dict[str, dict[str, Any]], width: int) -> Iterator[str]:
