@@ -15,6 +15,8 @@ kernel_cache.prepare()
 __version__ = "0.1.0"
 
 _EXPORTS = {
+    "panobench.api": ("Run", "Runs", "Score", "load", "run", "score"),
+    "panobench.bench.request": ("RunRequest",),
     "panobench.bench.study_record": ("StudyResult",),
     "panobench.cameras.base": ("Camera",),
     "panobench.datasets.base": ("Dataset", "FrameSequence", "Sequence"),

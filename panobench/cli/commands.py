@@ -12,6 +12,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "suite": ("panobench.cli.suite", "Run a matrix of methods, cameras, datasets and seeds; resumable."),
     "study": ("panobench.cli.study", "Regenerate one of the paper's tables or figures."),
     "report": ("panobench.cli.report", "Write one offline HTML file, or tables, from stored runs."),
+    "export": ("panobench.cli.export", "Write a stored run for COLMAP, nerfstudio, KITTI, TUM or as points."),
     "score": ("panobench.cli.score", "Score stored runs again, under this or another protocol."),
     "compare": ("panobench.cli.compare", "Judge new runs against old ones: a gate against regressions."),
     "env": ("panobench.cli.env", "Print versions, machine and plugins, for a bug report."),

@@ -42,7 +42,7 @@ def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> l
     if collection.studies:
         return []
     if len(collection.runs) == 1:
-        return _run_tiles(collection.runs[0])
+        return run_tiles(collection.runs[0])
     failed = sum(failure(r) is not None for r in collection.runs)
     out = [Tile("Runs", str(len(collection.runs)), note=f"{failed} failed" if failed else "all succeeded")]
     good = [(r, v.label) for v, runs in grouped.items() for r in runs if not failure(r) and not r.given_poses]
@@ -60,7 +60,7 @@ def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> l
     return out
 
 
-def _run_tiles(run: Run) -> list[Tile]:
+def run_tiles(run: Run) -> list[Tile]:
     out: list[Tile] = []
     reason, ate, tracked = failure(run), run.number("ate_rmse_m"), run.number("tracked")
     if reason:

@@ -17,7 +17,7 @@ from panobench.cameras.calibration.text import Table
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.errors import CalibrationError, UnknownNameError
+from panobench.errors import CalibrationError, UnknownNameError, UnsupportedError
 from panobench.reading import parse_json, read_text
 
 NAME = "nerfstudio"
@@ -95,3 +95,21 @@ def _whole(table: Table, key: str) -> int:
     if value != int(value):
         raise table.error(f"'{key}' must be a whole number, not {value:g}")
     return int(value)
+
+
+def camera_values(camera: Camera) -> dict[str, Any]:
+    """The camera as ``camera_of`` reads it. Raises UnsupportedError for models that nerfstudio does not have."""
+    size = {"w": camera.width, "h": camera.height}
+    if isinstance(camera, ErpCamera):
+        if camera.solid_angle().min() == 0 and camera.mask is None:
+            raise UnsupportedError("nerfstudio's EQUIRECTANGULAR has no limited field of view")
+        half = {"fl_x": camera.width / 2, "fl_y": camera.height, "cx": camera.width / 2, "cy": camera.height / 2}
+        return {"camera_model": "EQUIRECTANGULAR", **size, **half}
+    if isinstance(camera, KannalaBrandtCamera):
+        model, lens = "OPENCV_FISHEYE", dict(zip(("k1", "k2", "k3", "k4"), camera.k))
+    elif isinstance(camera, PinholeCamera) and not any(camera.distortion[5:]):
+        model, lens = "OPENCV", dict(zip(("k1", "k2", "p1", "p2", "k3"), camera.distortion))
+    else:
+        raise UnsupportedError(f"nerfstudio has no model for this {camera.kind}; it has erp, pinhole and fisheye")
+    focal = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    return {"camera_model": model, **size, **focal, **lens}
