@@ -124,15 +124,17 @@ def tracked_text(frames: FramesRecord) -> str:
 
 
 def summary(folder: Path, record: RunRecord) -> str:
-    """The most important numbers in a few lines; run.json has everything."""
+    """The most important numbers in a few lines, with what to know before comparing them; run.json has everything."""
+    from panobench.bench.cautions import CAUTIONS, cautions
+
     frames = record.frames
     lines = [f"{record.status}  {folder}", f"{'tracked':18}{tracked_text(frames)}"]
     for label, key, factor, form in _LINES:
         value = record.number(key)
         if value is not None:
             lines.append(f"{label:18}{form.format(value * factor)}")
-    if record.depth.oracle:
-        lines.append("note: the dataset's own depth was given to the method (oracle)")
+    told = [word for word in cautions(record) if word != "doubtful"]  # the verdict's lines say that one
+    lines += [f"{word}: {CAUTIONS[word].replace('’', chr(39))}" for word in told]
     lines += [f"note: {remark}" for remark in (*record.remarks, record.notes.get("ate_rotation_rmse_deg")) if remark]
     if record.verdict is not None:
         lines += verdict_lines(record.verdict)

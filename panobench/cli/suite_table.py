@@ -12,6 +12,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from panobench.bench.cautions import cautions
 from panobench.bench.cells import Planned
 from panobench.bench.store import Stored
 from panobench.bench.suite import Plan, counts
@@ -86,5 +87,6 @@ def _numbers(stored: Stored) -> str:
     if (tracked := number("tracked")) is not None:
         words.append(f"tracked {tracked:.0%}")
     if fps := number("fps"):
-        words.append(f"{fps:.1f} fps")
+        words.append(f"{fps:.1f} frames/s")
+    words += [f"({word})" for word in cautions(stored.record)]
     return "  ".join(words)

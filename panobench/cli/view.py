@@ -26,7 +26,7 @@ _PAGE_COVERAGE = 0.3
 
 @app.command()
 def view(
-    source: Annotated[Path, typer.Argument(help="An image, a video, a bag, or a sequence's folder.")],
+    source: Annotated[Path, typer.Argument(help="An image, video, bag, sequence's folder, map.ply or run folder.")],
     camera: Annotated[
         str | None,
         typer.Option(help="What took the image: erp, pal, cubemap, pinhole:DEGREES, fisheye:DEGREES, or a file."),
@@ -42,20 +42,26 @@ def view(
     width: Annotated[int | None, typer.Option(help="Width of --as in pixels.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write to; default: here.")] = None,
 ) -> None:
-    """Show an image or sequence through another camera.
+    """Show an image, a sequence or a map through another camera.
+
+    A map is seen from the poses of its run, or from its origin where no run is around it.
 
     Writes NAME.sheet.png, the frames beside what the other camera would have seen, and for anything that
     covers a good part of the sphere NAME.html, one offline page in which to look around.
     """
     from rich.console import Console
 
+    from panobench.bench.map_views import MapSequence, is_map
     from panobench.datasets.contact_sheet import contact_sheet
     from panobench.datasets.images import encode_image
     from panobench.datasets.look_around import write_look_around_page
     from panobench.datasets.single_image import open_anything
     from panobench.writing import write_whole
 
-    opened = open_anything(source, camera, dataset, sequence)
+    if is_map(source):
+        opened: FrameSequence = MapSequence(source)
+    else:
+        opened = open_anything(source, camera, dataset, sequence)
     chosen = _spread(len(opened), frames)
     choices = _choices(as_, opened, width, fov)
     rows = _rows(opened, chosen, choices)

@@ -11,12 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from panobench.bench.map_views import MapSequence
 from panobench.cameras.erp import ErpCamera
 from panobench.cli.main import run
 from panobench.datasets.images import decode_image, read_image
 from panobench.datasets.look_around import look_around_page
 from panobench.datasets.single_image import guess_dataset
+from panobench.datasets.trajectory_io import write_tum
 from panobench.geometry import directions_from_lonlat
+from panobench.splat.ply import write_ply
+from panobench.types import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
 from dataset_samples import panorama, save, synpano_scene, video
@@ -163,3 +167,23 @@ def test_the_browser_shows_the_direction_it_says(tmp_path: Path, lon: float, lat
     middle = picture[290:310, 290:310].reshape(-1, 3).mean(axis=0)
     expected = 127.5 + 120 * directions_from_lonlat(np.deg2rad(lon), np.deg2rad(lat))
     np.testing.assert_allclose(middle, expected, atol=6)
+
+
+def test_a_map_is_seen_from_its_origin_and_a_run_from_its_poses(tmp_path: Path) -> None:
+    points = np.random.default_rng(0).normal(size=(400, 3))
+    means = 2.0 * points / np.linalg.norm(points, axis=1, keepdims=True)
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (400, 1))
+    red = np.tile([1.0, 0.0, 0.0], (400, 1))
+    write_ply(tmp_path / "shell.ply", means, np.full((400, 3), -1.5), quats, np.full(400, 4.0), red)
+    assert view(tmp_path / "shell.ply", "--out", tmp_path) == 0
+    assert (tmp_path / "shell.html").is_file()
+    sheet = read_image(tmp_path / "shell.sheet.png")
+    assert sheet[..., 0].mean() > 1.3 * sheet[..., 1].mean()
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "run.json").write_text("{}")
+    assert view(folder, "--out", tmp_path) == 2
+    (tmp_path / "shell.ply").rename(folder / "map.ply")
+    T_wc = np.tile(np.eye(4), (3, 1, 1))
+    write_tum(folder / "trajectory.tum", Trajectory(np.arange(3.0), T_wc))
+    assert len(MapSequence(folder)) == 3
