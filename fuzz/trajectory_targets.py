@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
+from mutate import Material
 from target import Parse, Target, plain, text
 
 from panobench.errors import PanobenchError
@@ -49,11 +52,61 @@ def _parse_answer(folder: Path) -> Parse:
 
 def _parse_import(folder: Path) -> Parse:
     from panobench.external.imported import ImportOptions, read_imported
+    from panobench.trajectories.matching import Frames, place
 
-    return lambda path: read_imported(path, ImportOptions(), np.arange(6) * 0.05)
+    return lambda path: place(read_imported(path, ImportOptions()), Frames(np.arange(6) * 0.05), path)
+
+
+_Q = "0.9 0.1 -0.2 0.374165738677"
+_COLMAP = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME\n" + "".join(
+    f"{i + 1} {_Q} {0.1 * i} 0 0.2 1 {i:06d}.png\n{'1.0 2.0 -1 3 4 17' * (i % 2)}\n" for i in range(6)
+)
+_EYE = [[1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 1.0, 0], [0, 0, 0, 1.0]]
+_TRANSFORMS = json.dumps(
+    {"applied_scale": 0.5, "frames": [{"file_path": f"images/{i:06d}.png", "transform_matrix": _EYE} for i in range(6)]}
+)
+_MONOGS = json.dumps({"trj_id": [0, 2, 5], "trj_est": [_EYE] * 3, "trj_gt": [_EYE] * 3})
+_ROWS16 = "".join(f"1 0 0 {0.1 * i} 0 1 0 0 0 0 1 {i} 0 0 0 1\n" for i in range(6))
+_ROWS13 = (
+    ",".join(["frame", *(f"r{k}" for k in range(12))])
+    + "\n"
+    + "".join(f"{i},1,0,0,2,0,1,0,3,0,0,1,4\n" for i in range(6))
+)
+_BLOCKS = "".join(f"{i} {i} {i + 1}\n1 0 0 {i}\n0 1 0 0\n0 0 1 0\n0 0 0 1\n" for i in range(6))
+
+
+def _colmap_binary() -> Material:
+    data = struct.pack("<Q", 6)
+    for i in range(6):
+        data += struct.pack("<I7dI", i + 1, 1.0, 0, 0, 0, 0.1 * i, 0, 0, 1) + b"%06d.png\0" % i
+        data += struct.pack("<Q", i % 3) + struct.pack("<2dq", 1.0, 2.0, -1) * (i % 3)
+    return Material((data,), (b"\xff" * 8, b"\0", b"../x.png", struct.pack("<d", float("nan"))))
+
+
+def _placed(folder: Path) -> Parse:
+    """Read, and matched to frames with names and without."""
+    from panobench.trajectories.matching import Frames, place
+    from panobench.trajectories.reading import read_poses
+
+    times = np.arange(6) * 0.05
+    named = Frames(times, [f"{i:06d}.png" for i in range(6)])
+
+    def parse(path: Path) -> None:
+        found = read_poses(path)
+        assert np.isfinite(found.T_wc).all()
+        placed = place(found, named, path)
+        assert (np.diff(placed.index) > 0).all()
+        place(found, Frames(times), path)
+
+    return parse
 
 
 TARGETS = (
+    Target("colmap-images", "images.txt", text(_COLMAP, words="000003.png ../x.png nan #"), _placed),
+    Target("colmap-images-binary", "images.bin", _colmap_binary, _placed),
+    Target("json-trajectory", "transforms.json", text(_TRANSFORMS, _MONOGS, words='"frames" "trj_est" "trj_id" null '
+           "[] {} 1e400 true images/000003 000009.png"), _placed),
+    Target("matrix-rows", "poses.txt", text(_KITTI, _ROWS16, _ROWS13, _BLOCKS, words="nan frame time , ;"), _placed),
     Target("tum", "trajectory.tum", text(TUM, _TUM_NS, words="nan inf #"), plain(_parse_tum)),
     Target("subprocess-trajectory", "answer.txt", text(TUM.replace("/15", "/20"), _TUM_NS, _KITTI, _EUROC, "", "\n",
            "0 0 0 0 0 0 0 1\n0.05 0 0 0 0 0 0 1\n0.1 1 0 0 0 0 0 1\n"), _parse_answer),

@@ -43,7 +43,7 @@ def evaluate(data: MetricInput, status: RunStatus, message: str, log: Callable[[
     scores.notes.update(data.notes)
     scores.metrics["tracked"] = len(data.estimate.trajectory) / len(data.frames) if data.frames else 0.0
     if scores.status is RunStatus.OK:
-        scores.status, scores.message = judge(scores.metrics)
+        scores.status, scores.message = judge(scores.metrics, 0.0 if data.keyframes_only else MIN_TRACKED)
     scores.evaluation_s = time.perf_counter() - begin
     return scores
 

@@ -196,13 +196,19 @@ class CellRecord(JsonRecord):
 
 @dataclass
 class ImportedRecord(JsonRecord):
-    """The file a trajectory was imported from, and how it was read; see ImportOptions."""
+    """The file a trajectory was imported from, and how it was read; see ImportOptions.
+
+    poses: how many it has. unplaced: how many of them belong to no frame. keyframes: it has those of keyframes alone.
+    """
 
     trajectory: str = ""
     sha256: str = ""
     format: str | None = None
     inverse: bool = False
     time_offset_s: float = 0.0
+    poses: int | None = None
+    unplaced: int | None = None
+    keyframes: bool = False
     renders: str | None = None
 
 
@@ -220,7 +226,8 @@ class RunRecord(JsonRecord):
 
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
     metric: the method says that its scale is metres. notes: metric -> why it is None or odd. keyframes: frame indices.
-    groundtruth: whether there was any. verdict: None for runs stored before there were verdicts.
+    groundtruth: whether there was any; groundtruth_scaled: in metres.
+    verdict: None for runs stored before there were verdicts.
     remarks: what the dataset says about its data. extra: what the method reports.
     isolation: what the process that watched the run measured.
     """
@@ -240,6 +247,7 @@ class RunRecord(JsonRecord):
     keyframes: list[int] = field(default_factory=list)
     depth: DepthRecord = field(default_factory=DepthRecord)
     groundtruth: bool = False
+    groundtruth_scaled: bool = True
     remarks: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
     provenance: ProvenanceRecord = field(default_factory=ProvenanceRecord)

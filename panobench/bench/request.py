@@ -118,6 +118,18 @@ class RunRequest:
         separates=False,
         suite_key=True,
     )
+    groundtruth: str | None = run_option(
+        None,
+        "True poses: a trajectory's file (TUM, KITTI, COLMAP, transforms.json, ...) in place of the dataset's own.",
+        changes_input=True,
+        label=None,
+    )
+    groundtruth_scale: str | None = run_option(
+        None,
+        "Unit of --groundtruth: metres, or none; default: none for COLMAP and nerfstudio.",
+        changes_input=True,
+        label=None,
+    )
     fov: str | None = run_option(None, "Field of view in degrees: 120 or 120x60.", changes_input=True, label="{}° fov")
     depth: str | None = run_option(
         None, "First depth: NAME or NAME:ARGUMENT; default: bootstrap.", changes_input=False, label="{}"

@@ -75,8 +75,8 @@ class Protocol:
 class StoredSequence(FrameSequence):
     """Times and ground truth of a stored run; its images are not kept."""
 
-    def __init__(self, times: NDArray[np.float64], truth: Trajectory | None) -> None:
-        self.name, self.dataset, self.times, self._truth = "stored", "stored", times, truth
+    def __init__(self, times: NDArray[np.float64], truth: Trajectory | None, scaled: bool = True) -> None:
+        self.name, self.dataset, self.times, self._truth, self._scaled = "stored", "stored", times, truth, scaled
 
     def image(self, index: int) -> NDArray[np.uint8]:
         raise InputError("a stored run keeps no images")
@@ -84,6 +84,10 @@ class StoredSequence(FrameSequence):
     @property
     def groundtruth(self) -> Trajectory | None:
         return self._truth
+
+    @property
+    def groundtruth_scaled(self) -> bool:
+        return self._scaled
 
 
 def rescore(folder: Path, protocol: Protocol) -> RunRecord:
@@ -100,11 +104,14 @@ def rescore(folder: Path, protocol: Protocol) -> RunRecord:
     given = int((times >= times[0] + protocol.skip_s).sum())
     estimate = estimate.select(np.flatnonzero(estimate.times >= times[0] + protocol.skip_s - 1e-6))
     keyframes = [k for k in record.keyframes if 0 <= k < len(times)]
+    truth = _optional_tum(folder / GROUNDTRUTH) if (folder / GROUNDTRUTH).is_file() else None
+    keyframes_only = record.imported is not None and record.imported.keyframes
     data = MetricInput(
-        StoredSequence(times, _optional_tum(folder / GROUNDTRUTH) if (folder / GROUNDTRUTH).is_file() else None),
+        StoredSequence(times, truth, record.groundtruth_scaled),
         Estimate(estimate, keyframes=keyframes, metric=record.metric),
         list(range(len(times))),
         alignment=protocol.alignment,
+        keyframes_only=keyframes_only,
     )
     cleared = dict.fromkeys(_trajectory_keys())
     metrics = {
@@ -115,7 +122,7 @@ def rescore(folder: Path, protocol: Protocol) -> RunRecord:
     }
     status, message = record.status, record.message
     if status in _JUDGED:
-        found, message = judge(metrics, protocol.min_tracked, protocol.failed_ate_m)
+        found, message = judge(metrics, 0.0 if keyframes_only else protocol.min_tracked, protocol.failed_ate_m)
         status = found.value
     return replace(
         record,

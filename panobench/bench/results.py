@@ -76,6 +76,7 @@ def run_record(
         keyframes=list(estimate.keyframes),
         depth=_depth_record(setup, estimate.depth),
         groundtruth=sequence.groundtruth is not None,
+        groundtruth_scaled=sequence.groundtruth_scaled,
         remarks=sequence.remarks(),
         extra=dict(estimate.extra),
         provenance=replace(origin, dataset=sequence.provenance(), command=shlex.join(request.command())),

@@ -161,7 +161,7 @@ def _track(
             log=log,
             warn=warn,
         )
-        observer.started(len(sequence), truth)
+        observer.started(len(sequence), truth if sequence.groundtruth_scaled else None)
         observer.stage("tracking")
         method = setup.method
 

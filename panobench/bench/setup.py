@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from panobench.bench.config import method_config
@@ -115,7 +116,14 @@ def open_source(request: RunRequest, width: int | None) -> FrameSequence:
     """The dataset's own sequence at ``width``."""
     from panobench.datasets.open import open_sequence
 
-    return open_sequence(request.dataset, request.sequence, request.root, width)
+    sequence = open_sequence(request.dataset, request.sequence, request.root, width)
+    if request.groundtruth is None:
+        return sequence
+    from panobench.trajectories.matching import Frames
+    from panobench.trajectories.reference import ReferencedSequence, read_reference
+
+    file = Path(request.groundtruth).expanduser()
+    return ReferencedSequence(sequence, read_reference(file, Frames.of(sequence), scale=request.groundtruth_scale))
 
 
 def _through_camera(request: RunRequest) -> FrameSequence:

@@ -26,6 +26,11 @@ class ChosenFrames(FrameSequence):
         if not (np.isfinite(self.times).all() and (np.diff(self.times) > 0).all()):
             raise DatasetError(f"sequence '{inner.name}': the times are not finite and increasing")
 
+    @property
+    def whole(self) -> int:
+        """How many frames the whole sequence has."""
+        return len(self._inner)
+
     def original(self, index: int) -> int:
         """The frame's number in the whole sequence."""
         return int(self._index[index])
@@ -46,6 +51,10 @@ class ChosenFrames(FrameSequence):
             return None
         truth = truth.select(np.flatnonzero(np.isin(truth.times, self.times)))
         return truth if len(truth) else None
+
+    @property
+    def groundtruth_scaled(self) -> bool:
+        return self._inner.groundtruth_scaled
 
     @property
     def imu(self) -> Imu | None:

@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from panobench.bench.request import RunRequest, run_options
+from panobench.bench.request import DEFAULT_DATASET, RunRequest, run_options
 from panobench.cli.run_options import with_run_options
 
 if TYPE_CHECKING:
     from panobench.bench.record import RunRecord
-    from panobench.external.imported import ImportOptions
+    from panobench.bench.views import ChosenFrames
+    from panobench.external.imported import ImportedTrajectory, ImportOptions
+    from panobench.trajectories.matching import Placed
 
 app = typer.Typer()
 
@@ -26,13 +29,31 @@ app = typer.Typer()
 @with_run_options([o for o in run_options() if o.changes_input or o.import_help], lambda o: o.import_help or o.help)
 def import_run(
     given: dict[str, Any],
-    trajectory: Annotated[Path, typer.Argument(help="The trajectory: TUM, KITTI or EuRoC.")],
-    name: Annotated[str, typer.Option(help="What the row is called: the method, as it is to stand in tables.")],
+    trajectory: Annotated[
+        Path,
+        typer.Argument(help="The trajectory: TUM, KITTI, 4x4 rows, CSV, COLMAP's images, transforms.json, ..."),
+    ],
+    name: Annotated[
+        str | None, typer.Option(help="What the row is called, as it is to stand in tables; default: the file's name.")
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(help="Another trajectory to judge it by; with --root or --dataset at the frames of that data."),
+    ] = None,
     form: Annotated[
-        str | None, typer.Option("--format", help="tum, tum-ns, kitti, euroc or csv; default: look.")
+        str | None,
+        typer.Option(
+            "--format",
+            help="tum, tum-ns, kitti, matrices, euroc, csv, colmap, transforms or monogs; default: look.",
+        ),
     ] = None,
     inverse: Annotated[bool, typer.Option("--inverse", help="The file holds world-to-camera poses.")] = False,
-    time_unit: Annotated[str | None, typer.Option(help="What its times count: s, ms, us or ns; default: look.")] = None,
+    time_unit: Annotated[
+        str | None, typer.Option(help="What its times count: s, ms, us, ns or frames; default: look.")
+    ] = None,
+    keyframes: Annotated[
+        bool, typer.Option("--keyframes", help="It has the poses of keyframes alone: judge these.")
+    ] = False,
     time_offset: Annotated[float, typer.Option(help="Seconds added to the trajectory's times.")] = 0.0,
     max_dt: Annotated[float | None, typer.Option(help="Seconds a pose may be away from its frame.")] = None,
     metric: Annotated[bool, typer.Option("--metric", help="Its scale is metres: add the error without scale.")] = False,
@@ -50,11 +71,17 @@ def import_run(
     from panobench.errors import UsageError
     from panobench.external.imported import ImportOptions
 
+    name = trajectory.stem if name is None else name
     if not name.strip() or not name.isprintable() or len(name) > 80:
         raise UsageError("--name: give one line of up to 80 characters")
+    if against is not None and given["groundtruth"] is not None:
+        raise UsageError("--against and --groundtruth both name the trajectory to judge by; give one")
+    named = given["root"] or given["sequence"] or given["dataset"] != DEFAULT_DATASET
+    if against is not None and named:
+        given["groundtruth"], against = str(against), None
     request = RunRequest(method=name, **given)
-    options = ImportOptions(form, inverse, time_offset, max_dt, metric, renders, time_unit)  # type: ignore[arg-type]
-    folder = score_import(trajectory, request, options, out, force=force, citation=citation)
+    options = ImportOptions(form, inverse, time_offset, max_dt, metric, renders, time_unit, keyframes)
+    folder = score_import(trajectory, request, options, out, force=force, citation=citation, against=against)
     record = read_record(folder)
     if as_json:
         print((folder / RUN_JSON).read_text(encoding="utf-8"), end="")
@@ -74,8 +101,11 @@ def score_import(
     *,
     force: bool = False,
     citation: str = "",
+    against: Path | None = None,
 ) -> Path:
     """Write a run folder for a trajectory file and return it. ``request.method`` is the row's name.
+
+    ``against``: another trajectory to judge it by, without a data set.
 
     Raises PanobenchError for a trajectory, renders or a sequence that cannot be used; nothing is written then.
     """
@@ -93,22 +123,29 @@ def score_import(
     from panobench.methods.base import MethodContext
     from panobench.metrics.base import MetricInput
     from panobench.specs import MethodSpec
+    from panobench.trajectories.matching import Frames
     from panobench.writing import TEXT
 
     target = out or default_folder(request)
     check_free(target, force)
-    sequence = open_input(request)
-    holdout = held_out(len(sequence), request.holdout)
     method = ImportedTrajectory(trajectory, options)
+    if against is None:
+        sequence = open_input(request)
+        method.frames = Frames.of(sequence)
+    else:
+        request, sequence = _path_alone(request, method, against)
+    holdout = held_out(len(sequence), request.holdout)
     spec = MethodSpec(request.method, "imported", "", cameras=(sequence.camera.kind,), citation=citation)
     setup = RunSetup(spec, "imported", method, None, sequence, None)
     tracked = track_batch(method, sequence, frozenset(holdout), MethodContext(), Observer())
     assert tracked.estimate is not None
+    assert method.placed is not None
+    placed = method.placed
     tracked.latency, tracked.wall_s = [], 0.0
     with PendingRun(target, force) as pending:
         with (pending.path / LOG).open("w", **TEXT) as file:
             log = RunLog(file)
-            log(f"{len(tracked.estimate.trajectory)} poses of {trajectory} belong to {len(sequence)} frames")
+            log(f"{trajectory}: {placed.counts()}; {len(placed.index)} of {len(sequence)} frames have one")
             data = MetricInput(
                 sequence,
                 tracked.estimate,
@@ -116,28 +153,53 @@ def score_import(
                 holdout=holdout,
                 render=method.render if options.renders else None,
                 renders=pending.path / RENDERS if options.renders else None,
+                keyframes_only=options.keyframes,
             )
             scores = evaluate(data, tracked.status, tracked.message, log)
             timing = TimingRecord(evaluation_s=scores.evaluation_s)  # nothing else was timed here
             record = run_record(request, setup, tracked, holdout, scores, timing, provenance())
-            _mark(record, trajectory, options)
+            _mark(record, trajectory, options, placed)
             write_run(pending.path, record, setup, tracked, holdout)
         return pending.publish()
 
 
-def _mark(record: RunRecord, trajectory: Path, options: ImportOptions) -> None:
-    """Say where the trajectory came from."""
-    import hashlib
+def _path_alone(request: RunRequest, method: ImportedTrajectory, against: Path) -> tuple[RunRequest, ChosenFrames]:
+    """Two trajectories without a data set: the frames are the poses of the other, as the run's data set "path"."""
+    from panobench.bench.views import ChosenFrames
+    from panobench.cameras.erp import ErpCamera
+    from panobench.external.imported import read_imported
+    from panobench.trajectories.reading import read_poses
+    from panobench.trajectories.reference import PathAlone, scaled_as
 
+    method.poses = read_imported(method.path, method.options)
+    reference = read_poses(against)
+    scaled = scaled_as(request.groundtruth_scale, reference)
+    frames = PathAlone(
+        against, reference, method.poses, ErpCamera(request.width or 512, (request.width or 512) // 2), scaled
+    )
+    method.frames = frames.frames_to_match()
+    changed = replace(request, dataset=frames.dataset, sequence=frames.name, groundtruth=str(against))
+    return changed, ChosenFrames(frames)
+
+
+def _mark(record: RunRecord, trajectory: Path, options: ImportOptions, placed: Placed) -> None:
+    """Say where the trajectory came from, and how many of its poses were of use."""
     from panobench.bench.record import ImportedRecord
+    from panobench.datasets.checksums import known_sha256
 
     record.origin = "imported"
     record.imported = ImportedRecord(
         trajectory=trajectory.name,
-        sha256=hashlib.sha256(trajectory.read_bytes()).hexdigest(),
+        sha256=known_sha256(trajectory) if trajectory.is_file() else "",
         format=options.form,
         inverse=options.inverse,
         time_offset_s=options.time_offset,
+        poses=placed.poses,
+        unplaced=placed.unplaced,
+        keyframes=options.keyframes,
         renders=None if options.renders is None else options.renders.name,
     )
+    record.remarks = [*record.remarks, *placed.remarks]
+    if record.status == "lost" and not options.keyframes and not placed.unplaced:
+        record.message += "; if the file has keyframes alone, add --keyframes"
     record.provenance.command = shlex.join(["panobench", *sys.argv[1:]])

@@ -93,6 +93,7 @@ def exit_code(status: str) -> int:
 _LINES = (
     ("ATE", "ate_rmse_m", 1e3, "{:.2f} mm"),
     ("ATE of keyframes", "ate_keyframes_rmse_m", 1e3, "{:.2f} mm"),
+    ("ATE / path", "ate_percent", 1.0, "{:.3f} %"),
     ("RPE", "rpe_trans_rmse_m", 1e3, "{:.2f} mm"),
     ("three views", "psnr_db", 1.0, "{:.2f} dB"),
     ("  SSIM", "ssim", 1.0, "{:.4f}"),

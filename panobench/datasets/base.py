@@ -47,6 +47,11 @@ class FrameSequence(ABC):
         return None
 
     @property
+    def groundtruth_scaled(self) -> bool:
+        """Whether the ground truth's unit is the metre, and not that of a reconstruction from images."""
+        return True
+
+    @property
     def imu(self) -> Imu | None:
         """Inertial samples and the camera's pose in their axes, or None."""
         return None

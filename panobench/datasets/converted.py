@@ -52,6 +52,10 @@ class ConvertedSequence(FrameSequence):
         return self._groundtruth
 
     @property
+    def groundtruth_scaled(self) -> bool:
+        return self.source.groundtruth_scaled
+
+    @property
     def imu(self) -> Imu | None:
         imu = self.source.imu
         return None if imu is None else seen_from(imu, self.reprojector)

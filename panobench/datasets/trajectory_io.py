@@ -6,7 +6,7 @@ is no rotation raises DatasetError with file and line.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -192,6 +192,16 @@ def read_tum(path: Path, unit_s: float | None = None) -> Trajectory:
     return _read_posed(path, read_named_rows(path), "time x y z qx qy qz qw", 1.0, unit_s)
 
 
+def read_tum_ns(path: Path, unit_s: float | None = None) -> Trajectory:
+    """TUM in nanoseconds, as ORB-SLAM3 writes; of a frame that is there twice the second line counts."""
+    table, lines = read_table(path, 8, "time in ns, x y z qx qy qz qw", exact=True)
+    last = np.append(np.diff(table[:, 0]) != 0, True)[: len(table)]
+    table, lines = table[last], [line for line, keep in zip(lines, last) if keep]
+    times = table[:, 0] * (unit_s or 1e-9)
+    check_times(times, path, lines)
+    return Trajectory(times, poses_from_rows(table[:, 1:8], path, lines))
+
+
 def read_pose_csv(path: Path, unit_s: float | None = None) -> Trajectory:
     """A table of poses by its header. Without one, times in nanoseconds make it EuRoC's (qw first), others TUM's."""
     table = read_named_rows(path)
@@ -251,6 +261,15 @@ def _read_posed(
     times = found[:, 0] * unit if where.nanoseconds is None else found[:, 0] + 1e-9 * found[:, 1]
     check_times(times, path, lines)
     return Trajectory(times, poses_from_rows(found[:, len(stamp) :], path, lines))
+
+
+#: Readers of tables by kind. Each takes a file, and seconds in a unit of its times if they are not as the kind says.
+READERS: dict[str, Callable[..., Trajectory]] = {
+    "tum": read_tum,
+    "tum-ns": read_tum_ns,
+    "euroc": read_euroc_csv,
+    "csv": read_pose_csv,
+}
 
 
 def time_unit(stamps: Array, default: float, fastest: float = 2e-3) -> float:

@@ -5,113 +5,80 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets import trajectory_io as io
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.listing import children
-from panobench.datasets.trajectory_match import match_to_times
-from panobench.errors import InputError, UsageError
-from panobench.external.trajectory import READERS, Kind
-from panobench.geometry import invert_pose
+from panobench.errors import InputError
 from panobench.methods.base import BatchMethod, MethodContext
-from panobench.types import Estimate, Trajectory
+from panobench.trajectories.matching import Frames, Placed, place
+from panobench.trajectories.posed import PoseList
+from panobench.trajectories.reading import read_poses
+from panobench.types import Estimate
 
 if TYPE_CHECKING:
     from panobench.cameras.base import Camera
     from panobench.cameras.reproject import Reprojector
 
-#: Names of units of time, seconds.
-_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """form: one of "tum", "tum-ns", "kitti", "euroc", "csv", or None to tell from the file. inverse: it holds
-    world-to-camera poses. time_unit: what its times count, "s", "ms", "us" or "ns", or None to tell.
+    """form: a format of ``trajectories.reading.FORMATS``, or None to tell from the file. inverse: it holds
+    world-to-camera poses. time_unit: what its times count, "s", "ms", "us", "ns" or "frames", or None to tell.
 
     time_offset: seconds added to its times. max_dt: seconds between a pose and its frame at most (None: 40% of the
-    smallest interval between frames). metric: its scale is metres.
+    smallest interval between frames). metric: its scale is metres. keyframes: it has poses of keyframes alone.
     """
 
-    form: Kind | None = None
+    form: str | None = None
     inverse: bool = False
     time_offset: float = 0.0
     max_dt: float | None = None
     metric: bool = False
     renders: Path | None = None
     time_unit: str | None = None
+    keyframes: bool = False
 
 
-def guess_format(path: Path) -> Kind:
-    """By its header, its separators and the numbers in its first row. Raises InputError for anything else."""
-    table = io.read_named_rows(path)
-    rows = table.rows
-    if not rows:
-        raise InputError("the trajectory has no pose", path)
-    if table.delimiter is not None or table.columns.quaternion is not None or table.written:
-        return "csv"
-    if len(rows[0].fields) == 12:
-        return "kitti"
-    if len(rows[0].fields) == 8:
-        try:
-            return "tum-ns" if abs(float(rows[0].fields[0])) > 1e14 else "tum"
-        except ValueError:
-            pass
-    raise InputError(
-        "neither TUM (8 numbers a row) nor KITTI (12) nor EuRoC or another table with commas or a header: "
-        f"{len(rows[0].fields)} values; name the format with --format",
-        path,
-        line=rows[0].line,
-    )
-
-
-def read_imported(path: Path, options: ImportOptions, times: NDArray[np.float64]) -> Trajectory:
-    """The poses that belong to ``times``. Raises InputError when none does, or the file does not parse."""
-    kind = options.form or guess_format(path)
-    if kind not in get_args(Kind):
-        raise UsageError(f"--format {kind}: known are {', '.join(get_args(Kind))}")
-    if options.time_unit not in (None, *_UNITS):
-        raise UsageError(f"--time-unit {options.time_unit}: known are {', '.join(_UNITS)}")
-    unit_s = None if options.time_unit is None else _UNITS[options.time_unit]
-    found = io.read_kitti(path, times) if kind == "kitti" else READERS[kind](path, unit_s)
-    T = invert_pose(found.T_wc) if options.inverse else found.T_wc
-    moved = Trajectory(found.times + options.time_offset, T)
-    tolerance = options.max_dt
-    if tolerance is None:
-        tolerance = 0.4 * float(np.diff(times).min()) if len(times) > 1 else 1.0
-    matched = match_to_times(moved, times, tolerance)
-    if not len(matched):
-        raise InputError(
-            f"none of its {len(moved)} poses is within {tolerance:.3g} s of a frame: its times are "
-            f"{moved.times[0]:.9g} to {moved.times[-1]:.9g} s, the sequence's {times[0]:.9g} to {times[-1]:.9g} s; "
-            "shift them with --time-offset, or say what they count with --time-unit",
-            path,
-        )
-    return matched
+def read_imported(path: Path, options: ImportOptions) -> PoseList:
+    """The file's poses, turned to camera-to-world. Raises InputError for a file that does not parse."""
+    found = read_poses(path, options.form, options.time_unit)
+    return found.inverted() if options.inverse else found
 
 
 @dataclass
 class ImportedTrajectory(BatchMethod):
-    """Answers with the poses of a file. ``render`` gives the stored render of the frame at that pose."""
+    """Answers with the poses of a file. ``render`` gives the stored render of the frame at that pose.
+
+    frames: what the poses are matched to, where that is not what ``run`` is given. poses: the file's, if read before.
+    placed: which pose belongs to which frame, once it has run.
+    """
 
     path: Path
     options: ImportOptions = field(default_factory=ImportOptions)
+    frames: Frames | None = None
+    poses: PoseList | None = None
+    placed: Placed | None = None
 
     def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
         """Raises InputError for a trajectory or renders that cannot be used."""
-        trajectory = read_imported(self.path, self.options, sequence.times)
-        index = np.searchsorted(sequence.times, trajectory.times).tolist()
+        frames = self.frames or Frames.of(sequence)
+        found = self.poses or read_imported(self.path, self.options)
+        options = self.options
+        self.placed = place(found, frames, self.path, time_offset=options.time_offset, max_dt=options.max_dt)
+        trajectory, index = self.placed.trajectory, self.placed.index.tolist()
         self._camera = sequence.camera
         self._poses = trajectory.T_wc
         self._files = [] if self.options.renders is None else find_renders(self.options.renders, index, sequence)
         self._cuts: dict[bytes, Reprojector] = {}
         extra = {"file": self.path.name, "poses_in_frames": len(trajectory), "renders": len(self._files)}
-        return Estimate(trajectory, metric=self.options.metric, extra=extra)
+        keyframes = index if options.keyframes else []
+        return Estimate(trajectory, keyframes=keyframes, metric=options.metric, extra=extra)
 
     def render(self, camera: Camera, T_wc: NDArray[np.float64]) -> NDArray[np.float32] | None:
         """The render of the frame at the position of ``T_wc``, reprojected to ``camera``; None at other positions."""

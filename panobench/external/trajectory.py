@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -35,25 +34,6 @@ class TrajectoryFormat:
     index_rate: float | None = None
 
 
-def _read_tum_ns(path: Path, unit_s: float | None = None) -> Trajectory:
-    """Read ORB-SLAM3's files. They hold the frame that started the map twice; the second line counts."""
-    table, lines = io.read_table(path, 8, "time in ns, x y z qx qy qz qw", exact=True)
-    last = np.append(np.diff(table[:, 0]) != 0, True)[: len(table)]
-    table, lines = table[last], [line for line, keep in zip(lines, last) if keep]
-    times = table[:, 0] * (unit_s or 1e-9)
-    io.check_times(times, path, lines)
-    return Trajectory(times, io.poses_from_rows(table[:, 1:8], path, lines))
-
-
-#: By kind. Each takes a file, and seconds in a unit of its times if they are not as the kind says.
-READERS: dict[str, Callable[..., Trajectory]] = {
-    "tum": io.read_tum,
-    "tum-ns": _read_tum_ns,
-    "euroc": io.read_euroc_csv,
-    "csv": io.read_pose_csv,
-}
-
-
 def read_answer(path: Path, form: TrajectoryFormat, times: NDArray[np.float64]) -> Trajectory:
     """The poses, stamped with those of ``times`` that they belong to. Empty if the program wrote an empty file.
 
@@ -64,7 +44,7 @@ def read_answer(path: Path, form: TrajectoryFormat, times: NDArray[np.float64]) 
         raise DatasetError("the program wrote no such file", path)
     if not any(line and not line.startswith("#") for line in _first_lines(path)):
         return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-    found = io.read_kitti(path, times) if form.kind == "kitti" else READERS[form.kind](path)
+    found = io.read_kitti(path, times) if form.kind == "kitti" else io.READERS[form.kind](path)
     T = found.T_wc
     if form.inverse:
         T = invert_pose(T)

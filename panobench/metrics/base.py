@@ -36,6 +36,7 @@ class MetricInput:
     renders:  folder where pictures for the report may be written (it may not exist yet), or None.
     notes:    key -> one line; a metric says here why a number is None.
     alignment: of the trajectory before ATE; "auto" is Sim(3).
+    keyframes_only: the trajectory has the keyframes alone, and is judged as such.
     """
 
     sequence: FrameSequence
@@ -47,3 +48,4 @@ class MetricInput:
     renders: Path | None = None
     notes: dict[str, str] = field(default_factory=dict)
     alignment: Literal["auto", "sim3", "se3", "none"] = "auto"
+    keyframes_only: bool = False

@@ -12,6 +12,7 @@ METRICS: tuple[MetricSpec, ...] = (
             "ate_rmse_m": "lower",
             "ate_keyframes_rmse_m": "lower",
             "ate_se3_rmse_m": "lower",
+            "ate_percent": "lower",
             "ate_rotation_rmse_deg": "lower",
             "rpe_trans_rmse_m": "lower",
             "rpe_rotation_rmse_deg": "lower",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -18,26 +17,40 @@ Alignment = Literal["sim3", "se3", "none"]
 
 
 def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
-    """Errors in the ground truth's unit and degrees. None, with a note, where the error is not defined."""
+    """Errors in metres, in percent of the path and in degrees. None, with a note, where an error is not defined.
+
+    Against a ground truth without scale there are no lengths; of a trajectory of keyframes there is their ATE alone.
+    """
     estimate = data.estimate
     matched = match(estimate.trajectory, data.sequence.groundtruth)
     if matched is None:
         data.notes["ate_rmse_m"] = "no ground truth" if data.sequence.groundtruth is None else "no tracked frame"
         return {}
-    values: dict[str, float | None] = {"path_length_m": matched.truth.path_length()}
+    path = matched.truth.path_length()
+    scaled = data.sequence.groundtruth_scaled
+    values: dict[str, float | None] = {"path_length_m": path if scaled else None}
     how = chosen_alignment(data.alignment)
     aligned = align(matched, how)
     if aligned is None:
         data.notes["ate_rmse_m"] = "fewer than three poses, or a camera that does not move: alignment is undefined"
         return values
-    values["ate_rmse_m"] = _ape(aligned, "translation_part")
+    ate = _ape(aligned, "translation_part")
+    values["ate_percent"] = 100 * ate / path if path > 0 else None
     values["ate_rotation_rmse_deg"] = _ape(aligned, "rotation_angle_deg")
-    explained = _explained_rotation(matched, aligned, values)
+    explained = _explained_rotation(matched, aligned, ate)
     if explained:
         data.notes["ate_rotation_rmse_deg"] = explained
-    values["rpe_trans_rmse_m"] = _rpe(aligned, "translation_part")
-    values["rpe_rotation_rmse_deg"] = _rpe(aligned, "rotation_angle_deg")
     values["scale"] = aligned.transform.scale
+    if data.keyframes_only:
+        values["ate_keyframes_rmse_m"] = ate if scaled else None
+        data.notes["ate_rmse_m"] = "the trajectory has keyframes alone: ate_keyframes_rmse_m is their error"
+        return values
+    values["rpe_rotation_rmse_deg"] = _rpe(aligned, "rotation_angle_deg")
+    if not scaled:
+        data.notes["ate_rmse_m"] = "the ground truth has no scale: ate_percent is the error in percent of its path"
+        return values
+    values["ate_rmse_m"] = ate
+    values["rpe_trans_rmse_m"] = _rpe(aligned, "translation_part")
     if estimate.metric and how == "sim3" and (rigid := align(matched, "se3")) is not None:
         values["ate_se3_rmse_m"] = _ape(rigid, "translation_part")
     keyframes = _keyframes(matched, data)
@@ -121,7 +134,7 @@ def _rpe(aligned: Aligned, relation: str) -> float:
     return float(rpe.get_statistic(metrics.StatisticsType.rmse))
 
 
-def _explained_rotation(matched: Matched, aligned: Aligned, values: Mapping[str, float | None]) -> str | None:
+def _explained_rotation(matched: Matched, aligned: Aligned, ate: float) -> str | None:
     """Why orientations are far off where positions are right, that is within a tenth of the path's extent.
 
     Poses near one line are left alone: their alignment is free about it.
@@ -131,7 +144,7 @@ def _explained_rotation(matched: Matched, aligned: Aligned, values: Mapping[str,
     positions = matched.truth.positions
     spread = np.linalg.svd(positions - positions.mean(axis=0), compute_uv=False)
     extent = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    if (values["ate_rmse_m"] or 0.0) > 0.1 * extent or spread[1] < 0.05 * spread[0]:
+    if ate > 0.1 * extent or spread[1] < 0.05 * spread[0]:
         return None
     found = matched.estimate.T_wc[:, :3, :3]
     return explain_rotation(matched.truth.T_wc[:, :3, :3], found, aligned.transform.R)

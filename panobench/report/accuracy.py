@@ -95,7 +95,8 @@ def ate_cell(runs: Sequence[Run], unit: str, scale: float) -> Cell:
     values += [a * scale for r in runs if not failure(r) and (a := r.number("ate_rmse_m")) is not None]
     summary = summarise(values)
     if summary is None:
-        return Cell(NOT_AVAILABLE, coverage=coverage, about="no ground truth to compare with")
+        reasons = [note for r in runs if (note := r.record.notes.get("ate_rmse_m"))]
+        return Cell(NOT_AVAILABLE, coverage=coverage, about=next(iter(reasons), "no ground truth to compare with"))
     if not math.isfinite(summary.median):
         return Cell(FAILED, coverage=coverage, failed=True, about=", ".join(sorted(set(reasons))), repeats=len(runs))
     part = conditions(runs, ("every", "max_frames"))  # other frames are other data

@@ -106,7 +106,7 @@ def trajectory_figures(
             start = {"name": "Start", "meta": meta, "mode": "markers", "hoverinfo": "name"}
             plan.append({**start, "type": "scatter", "x": x[:1], "y": y[:1], "marker": {"size": 9}})
             spatial.append({**start, "type": "scatter3d", "x": x[:1], "y": y[:1], "z": z[:1], "marker": {"size": 5}})
-    unit = "m" if truth is not None else "units"
+    unit = "m" if truth is not None and _scaled(runs) else "units"
     axes: list[dict[str, Any]] = [{"title": {"text": f"{name} [{unit}]"}} for name in ("x", "y", "up")]
     reference = [points for name, points, meta in paths if meta["run"] < 0]
     good = [points for _, points, meta in paths if meta["run"] >= 0 and failure(runs[meta["run"]]) is None]
@@ -172,6 +172,11 @@ def alignment_without_truth(runs: Sequence[Run]) -> tuple[int, dict[int, Sim3]] 
     return chosen, found
 
 
+def _scaled(runs: Sequence[Run]) -> bool:
+    """Whether all of the ground truth is in metres."""
+    return all(run.record.groundtruth_scaled for run in runs if run.groundtruth is not None)
+
+
 def error_figure(runs: Sequence[Run], labels: Sequence[str], colours: Sequence[int], kind: str) -> Figure | None:
     """Position (mm or m) or rotation (degrees) error over time; None when no run has ground truth."""
     with_errors = [(i, run.errors) for i, run in enumerate(runs) if run.errors is not None]
@@ -181,6 +186,8 @@ def error_figure(runs: Sequence[Run], labels: Sequence[str], colours: Sequence[i
     if kind == "translation":
         typical = float(np.median(np.concatenate([e.translation for _, e in with_errors])))
         unit, scale = ("mm", 1e3) if typical < 0.1 else ("m", 1.0)
+        if not _scaled(runs):
+            unit, scale = "units", 1.0
     data = []
     for i, errors in with_errors:
         keep = thin(len(errors.times))

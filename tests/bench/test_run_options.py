@@ -68,7 +68,8 @@ def test_every_option_says_what_it_is() -> None:
         assert option.label is None or "{}" in option.label
     assert [o.name for o in run_options() if not o.separates] == ["root", "check", "seed"]
     inputs = {o.name for o in run_options() if o.changes_input}
-    assert inputs == {"camera", "dataset", "sequence", "root", "fov", "width", "every", "max_frames"}
+    images = {"camera", "dataset", "sequence", "root", "fov", "width", "every", "max_frames"}
+    assert inputs == {*images, "groundtruth", "groundtruth_scale"}
 
 
 @dataclass(frozen=True)

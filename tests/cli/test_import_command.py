@@ -12,6 +12,7 @@ import pytest
 from panobench.cli.import_run import score_import
 from panobench.cli.main import run as panobench
 from panobench.datasets.trajectory_io import write_tum
+from panobench.datasets.trajectory_match import interpolate_poses
 from panobench.geometry import Sim3, invert_pose, quaternion_from_matrix, so3_exp
 from panobench.testing import TinySequence
 from panobench.types import Trajectory
@@ -115,7 +116,7 @@ def test_shifted_times_are_explained_and_can_be_mended(
     assert not run
     assert not (tmp_path / "out").exists()
     message = capsys.readouterr().err
-    assert "none of its 8 poses" in message
+    assert "8 of 8 poses belong to no frame" in message
     assert "--time-offset" in message
     code, _ = imported(tmp_path / "them.tum", root, tmp_path / "out", "--time-offset", "-1000")
     assert code == 0
@@ -166,7 +167,7 @@ def test_a_render_of_another_size_is_named(
     ("text", "words"),
     [
         ("", "no pose"),
-        ("0 1 2 3\n", "neither TUM (8 numbers a row) nor KITTI (12) nor EuRoC"),
+        ("0 1 2 3\n", "the row has 4 values, which no format has: TUM 8"),
         ("0 0 0 0 0 0 0 1\n0.1 0 0\n", "them.txt:2: the row has 3 values"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "1 poses for 8 frames"),
     ],
@@ -199,3 +200,120 @@ def test_it_is_a_function_too(root: Path, tmp_path: Path, truth: Trajectory) -> 
     request = RunRequest("Mine", dataset="folder", root=str(root), width=128)
     folder = score_import(tmp_path / "them.tum", request, ImportOptions(metric=True), tmp_path / "run")
     assert json.loads((folder / "run.json").read_text())["metric"] is True
+
+
+# -- keyframes, other formats, any path against any path --------------------------------------------------------------
+
+
+def test_a_file_of_keyframes_is_judged_as_such(root: Path, tmp_path: Path, truth: Trajectory) -> None:
+    write_tum(tmp_path / "keyframes.tum", moved(truth).select(np.array([0, 3, 5, 7])))
+    code, run = imported(tmp_path / "keyframes.tum", root, tmp_path / "plain")
+    assert (code, run["status"]) == (1, "lost")
+    assert "if the file has keyframes alone, add --keyframes" in run["message"]
+    code, run = imported(tmp_path / "keyframes.tum", root, tmp_path / "out", "--keyframes")
+    assert (code, run["status"], run["keyframes"]) == (0, "ok", [0, 3, 5, 7])
+    assert run["metrics"]["ate_keyframes_rmse_m"] < 1e-6
+    assert run["metrics"]["ate_rmse_m"] is run["metrics"]["rpe_trans_rmse_m"] is None
+    assert run["metrics"]["tracked"] == 0.5
+    assert "keyframes alone" in run["notes"]["ate_rmse_m"]
+    assert panobench(["score", str(tmp_path / "out"), "--in-place"]) == 0
+    again = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert (again["status"], again["metrics"]["ate_rmse_m"]) == ("ok", None)
+    assert again["metrics"]["ate_keyframes_rmse_m"] == pytest.approx(run["metrics"]["ate_keyframes_rmse_m"])
+
+
+def test_poses_of_no_frame_are_counted(root: Path, tmp_path: Path, truth: Trajectory) -> None:
+    more = Trajectory(np.r_[truth.times, truth.times[-1] + [1.0, 2.0]], np.concatenate([truth.T_wc, truth.T_wc[-2:]]))
+    write_tum(tmp_path / "them.tum", more)
+    _, run = imported(tmp_path / "them.tum", root, tmp_path / "out")
+    assert (run["imported"]["poses"], run["imported"]["unplaced"]) == (10, 2)
+    assert run["remarks"] == ["2 of 10 poses belong to no frame"]
+    write_tum(tmp_path / "them.tum", truth)
+    _, run = imported(tmp_path / "them.tum", root, tmp_path / "all")
+    assert (run["imported"]["poses"], run["imported"]["unplaced"], run["remarks"]) == (8, 0, [])
+    assert "0 of 8 poses belong to no frame" in (tmp_path / "all" / "log.txt").read_text()
+
+
+def test_frame_numbers_for_times_are_offered_and_taken(
+    root: Path, tmp_path: Path, truth: Trajectory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_tum(tmp_path / "them.tum", Trajectory(np.arange(8.0), moved(truth).T_wc))
+    assert imported(tmp_path / "them.tum", root, tmp_path / "out")[0] == 2
+    assert "they look like frame numbers: add --time-unit frames" in capsys.readouterr().err
+    code, run = imported(tmp_path / "them.tum", root, tmp_path / "out", "--time-unit", "frames")
+    assert code == 0
+    assert run["metrics"]["ate_rmse_m"] < 1e-6
+
+
+def transforms(path: Path, truth: Trajectory, suffix: str = ".png") -> Path:
+    """nerfstudio's file, in whose world and scale it may be."""
+    them = moved(truth)
+    frames = [
+        {"file_path": f"images/{i:06d}{suffix}", "transform_matrix": (T @ np.diag([1, -1, -1, 1])).tolist()}
+        for i, T in enumerate(them.T_wc)
+    ]
+    path.write_text(json.dumps({"frames": frames}))
+    return path
+
+
+def test_poses_by_image_name(root: Path, tmp_path: Path, truth: Trajectory) -> None:
+    code, run = imported(transforms(tmp_path / "transforms.json", truth), root, tmp_path / "out")
+    assert code == 0
+    assert run["metrics"]["ate_rmse_m"] < 1e-6
+    assert run["metrics"]["ate_rotation_rmse_deg"] < 1e-4
+
+
+def against(tmp_path: Path, *words: str) -> dict:
+    out = tmp_path / "against"
+    assert panobench(["import", *words, "--out", str(out), "--force", "--quiet"]) == 0
+    run: dict = json.loads((out / "run.json").read_text())
+    assert run["status"] == "ok"
+    return run
+
+
+def test_any_path_against_any_path(tmp_path: Path, truth: Trajectory) -> None:
+    """Without a data set: the frames are the poses of the other."""
+    a, b = tmp_path / "a.tum", tmp_path / "b.tum"
+    write_tum(a, moved(truth))
+    write_tum(b, truth)
+    run = against(tmp_path, str(a), "--against", str(b))
+    assert (run["spec"]["method"], run["spec"]["dataset"], run["spec"]["sequence"]) == ("a", "path", "b")
+    assert run["metrics"]["ate_rmse_m"] < 1e-6
+    assert (tmp_path / "against" / "groundtruth.tum").is_file()
+    # each second frame is there: the others belong to none
+    write_tum(b, truth.select(np.arange(0, 8, 2)))
+    run = against(tmp_path, str(a), "--against", str(b))
+    assert (run["frames"]["given"], run["imported"]["unplaced"]) == (4, 4)
+    # motion capture has many more: it is interpolated to the poses
+    times = np.linspace(truth.times[0], truth.times[-1], 701)
+    write_tum(b, interpolate_poses(truth, times))
+    run = against(tmp_path, str(a), "--against", str(b))
+    assert run["frames"]["given"] == run["frames"]["tracked"] == 8
+    assert run["metrics"]["ate_rmse_m"] < 1e-3
+
+
+def test_a_reference_without_scale_gives_shares_of_the_path(
+    root: Path, tmp_path: Path, truth: Trajectory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reference = transforms(tmp_path / "transforms.json", truth)
+    write_tum(tmp_path / "them.tum", truth)
+    words = [str(tmp_path / "them.tum"), "--against", str(reference), "--dataset", "folder", "--root", str(root)]
+    run = against(tmp_path, *words, "--width", "128")
+    assert run["groundtruth_scaled"] is False
+    assert run["metrics"]["ate_rmse_m"] is None
+    assert run["metrics"]["ate_percent"] < 1e-4
+    assert "no scale" in run["notes"]["ate_rmse_m"]
+    run = against(tmp_path, *words, "--width", "128", "--groundtruth-scale", "metres")
+    assert run["metrics"]["ate_rmse_m"] < 1e-6
+    assert panobench(["report", str(tmp_path / "against"), "-o", str(tmp_path / "page.html")]) == 0
+    capsys.readouterr()
+    assert panobench(["import", str(tmp_path / "them.tum"), "--against", str(reference), "--out", "x"]) == 2
+    assert "transforms.json has poses by image name, the other trajectory by time: name the data set" in (
+        capsys.readouterr().err
+    )
+
+
+def test_both_ways_of_naming_the_reference_at_once(tmp_path: Path, truth: Trajectory) -> None:
+    write_tum(tmp_path / "a.tum", truth)
+    file = str(tmp_path / "a.tum")
+    assert panobench(["import", file, "--against", file, "--groundtruth", file]) == 2

@@ -14,6 +14,8 @@ from panobench.datasets.synpano import read_pose_table
 from panobench.datasets.trajectory_io import read_euroc_csv, read_pose_csv, read_tum, rows_from_poses, time_unit
 from panobench.errors import DatasetError
 from panobench.external.imported import ImportOptions, read_imported
+from panobench.trajectories.matching import Frames, place
+from panobench.types import Trajectory
 
 N = 12
 TIMES = np.arange(N) / 15
@@ -79,14 +81,18 @@ def test_without_a_header_the_times_tell_euroc_from_tum(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.T_wc, TRUE, atol=1e-8)
 
 
+def placed(path: Path, options: ImportOptions) -> Trajectory:
+    return place(read_imported(path, options), Frames(TIMES), path).trajectory
+
+
 def test_an_imported_table_is_matched_to_its_frames(tmp_path: Path) -> None:
     for header, values in HEADERS:
-        found = read_imported(table(tmp_path / "t.csv", header, *values), ImportOptions(), TIMES)
+        found = placed(table(tmp_path / "t.csv", header, *values), ImportOptions())
         assert len(found) == N, header
     milliseconds = table(tmp_path / "t.tum", "", np.rint(TIMES * 1e3), X, Y, Z, QX, QY, QZ, QW, separator=" ")
-    assert len(read_imported(milliseconds, ImportOptions(time_unit="ms"), TIMES)) == N
+    assert len(placed(milliseconds, ImportOptions(time_unit="ms"))) == N
     commas = table(tmp_path / "c.tum", "", TIMES, X, Y, Z, QX, QY, QZ, QW)
-    assert len(read_imported(commas, ImportOptions("tum"), TIMES)) == N
+    assert len(placed(commas, ImportOptions("tum"))) == N
 
 
 @pytest.mark.parametrize(
