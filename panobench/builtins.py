@@ -1,4 +1,4 @@
-"""The built-in cameras, datasets, methods, depth estimators, metrics and studies, registered like a plugin's."""
+"""The built-in cameras, datasets, methods, estimators, metrics and studies, registered like a plugin's."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from panobench.cameras.registration import CAMERAS
 from panobench.datasets.registration import DATASETS
 from panobench.depth.registration import DEPTH_ESTIMATORS
 from panobench.hookspecs import hookimpl
+from panobench.masks.registration import MASK_ESTIMATORS
 from panobench.methods.registration import METHODS
 from panobench.metrics.registration import METRICS
-from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, StudySpec
+from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MaskSpec, MethodSpec, MetricSpec, StudySpec
 from panobench.studies.registration import STUDIES
 
 
@@ -32,6 +33,11 @@ def register_methods() -> Sequence[MethodSpec]:
 @hookimpl
 def register_depth_estimators() -> Sequence[DepthSpec]:
     return DEPTH_ESTIMATORS
+
+
+@hookimpl
+def register_mask_estimators() -> Sequence[MaskSpec]:
+    return MASK_ESTIMATORS
 
 
 @hookimpl

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         CameraSpec,
         DatasetSpec,
         DepthSpec,
+        MaskSpec,
         MethodSpec,
         MetricSpec,
         StudySpec,
@@ -48,6 +49,12 @@ def register_methods() -> Sequence[MethodSpec]:
 @hookspec
 def register_depth_estimators() -> Sequence[DepthSpec]:
     """Depth estimators that start a map."""
+    return ()
+
+
+@hookspec
+def register_mask_estimators() -> Sequence[MaskSpec]:
+    """Mask estimators: what moves with the camera (since contract 1.1)."""
     return ()
 
 

@@ -22,6 +22,7 @@ from panobench.specs import (
     CameraSpec,
     DatasetSpec,
     DepthSpec,
+    MaskSpec,
     MethodSpec,
     MetricSpec,
     Spec,
@@ -34,6 +35,7 @@ _HOOKS: dict[type[Spec], str] = {
     DatasetSpec: "register_datasets",
     MethodSpec: "register_methods",
     DepthSpec: "register_depth_estimators",
+    MaskSpec: "register_mask_estimators",
     MetricSpec: "register_metrics",
     StudySpec: "register_studies",
 }

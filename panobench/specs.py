@@ -83,7 +83,8 @@ class DatasetSpec(Spec):
 
     publisher and layout are shown when the data are not found: who publishes it, what is expected where.
     camera: the kind of camera of all its sequences, "" where it depends; with it a sequence that must be converted is
-    opened once, at full resolution. needs_root: False for generators.
+    opened once, at full resolution. needs_root: False for generators. recorded: False for rendered images, into which
+    nobody who carries the camera can get.
     """
 
     kind: ClassVar[str] = "dataset"
@@ -91,6 +92,7 @@ class DatasetSpec(Spec):
     layout: str = ""
     camera: str = ""
     needs_root: bool = True
+    recorded: bool = True
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,17 @@ class DepthSpec(Spec):
 
     kind: ClassVar[str] = "depth"
     needs_dataset_depth: bool = False
+    argument: str = ""
+
+
+@dataclass(frozen=True)
+class MaskSpec(Spec):
+    """A mask estimator, which finds what moves with the camera; the implementation is a ``MaskEstimator`` subclass.
+
+    argument: what follows the colon in `--mask name:ARGUMENT`, "" if it takes none.
+    """
+
+    kind: ClassVar[str] = "mask"
     argument: str = ""
 
 

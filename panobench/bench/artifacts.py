@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from panobench.bench.config import config_values
+from panobench.bench.masking import choose_mask
 from panobench.bench.request import RunRequest
 from panobench.bench.setup import open_depth
 from panobench.datasets.checksums import known_sha256
@@ -34,6 +35,11 @@ def artifact_checksums(request: RunRequest, spec: MethodSpec, config: Any) -> di
     depth = open_depth(request.depth) if request.depth is not None else None
     if depth is not None:
         _add(found, "depth", _named(depth.spec.files, depth.argument, depth.name))
+    mask = choose_mask(request.mask, request.dataset)
+    if mask.file is not None:
+        found["mask"] = _checksum(mask.file)
+    elif mask.spec is not None:
+        _add(found, "mask", _named(mask.spec.files, mask.argument, mask.spec.name))
     for metric in registry().specs(MetricSpec).values():
         try:
             _add(found, f"metric {metric.name}", _named(metric.files, None, metric.name))

@@ -12,6 +12,7 @@ from typing import Any
 from panobench.bench.artifacts import artifact_checksums
 from panobench.bench.config import config_values, method_config
 from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
+from panobench.bench.masking import choose_mask
 from panobench.bench.request import RunRequest, run_options, run_words
 from panobench.bench.setup import DEFAULT_DEPTH, check_kind, method_spec, open_input
 from panobench.errors import DatasetError, InputError, OutputError, PanobenchError, UnknownNameError, UsageError
@@ -158,6 +159,8 @@ class Planner:
         depth = (request.depth or DEFAULT_DEPTH).partition(":")[0]
         used: list[Spec] = [spec, known.get(DatasetSpec, request.dataset), *known.specs(MetricSpec).values()]
         used += [s for s in known.specs(CameraSpec).values() if s.name in (*spec.cameras, request.camera)]
+        mask = choose_mask(request.mask, request.dataset).spec
+        used += [mask] if mask is not None else []
         used += [s for s in known.specs(DepthSpec).values() if s.name == depth]
         paths = tuple(sorted({s.implementation for s in used} | ({spec.config} if spec.config else set())))
         if paths not in self._code:

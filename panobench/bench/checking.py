@@ -68,11 +68,17 @@ class Backwards(FrameSequence):
 
 
 def check_trajectory(
-    request: RunRequest, check: str, given: int, folder: Path, log: Callable[[str], None], observer: Observer
+    request: RunRequest,
+    check: str,
+    given: int,
+    folder: Path,
+    log: Callable[[str], None],
+    observer: Observer,
+    hidden: NDArray[np.bool_] | None = None,
 ) -> Trajectory | None:
     """The check's trajectory of the first ``given`` frames; None if it cannot run here or found nothing.
 
-    It gets the run's input, its own defaults and the run's seed.
+    It gets the run's input, without the pixels ``hidden`` (H, W), its own defaults and the run's seed.
     """
     observer.stage("checking")
     method = request.method if check == BACKWARDS else check
@@ -81,6 +87,8 @@ def check_trajectory(
         asked = replace(asked, preset=None, settings={}, depth=None)
     try:
         setup = set_up_run(asked)
+        if hidden is not None:
+            setup.sequence.hide(hidden)
         sequence: Any = Backwards(setup.sequence, given) if check == BACKWARDS else setup.sequence
         with tempfile.TemporaryDirectory(prefix="check-", dir=folder, ignore_cleanup_errors=True) as work:
             context = MethodContext(

@@ -151,6 +151,25 @@ class DepthRecord(JsonRecord):
 
 
 @dataclass
+class MaskRecord(JsonRecord):
+    """What of the view the method did not see.
+
+    source: the estimator's name, "file", or "" for what the camera itself does not see. file: the mask's name.
+    ok, message: what the estimator says of itself. found: share of the camera's view it hid; hidden: share that is
+    hidden altogether, a mask that came with the data included. seconds: how long it took to find.
+    """
+
+    source: str = ""
+    file: str | None = optional()
+    ok: bool = True
+    message: str = ""
+    found: float = 0.0
+    hidden: float = 0.0
+    seconds: float | None = optional()
+    details: dict[str, Any] | None = optional()
+
+
+@dataclass
 class MapRecord(JsonRecord):
     """The map file in the run's folder."""
 
@@ -226,6 +245,7 @@ class RunRecord(JsonRecord):
 
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
     metric: the method says that its scale is metres. notes: metric -> why it is None or odd. keyframes: frame indices.
+    mask: what hid part of the view, if anything did.
     groundtruth: whether there was any; groundtruth_scaled: in metres.
     verdict: None for runs stored before there were verdicts.
     remarks: what the dataset says about its data. extra: what the method reports.
@@ -246,6 +266,7 @@ class RunRecord(JsonRecord):
     frames: FramesRecord = field(default_factory=FramesRecord)
     keyframes: list[int] = field(default_factory=list)
     depth: DepthRecord = field(default_factory=DepthRecord)
+    mask: MaskRecord | None = optional()
     groundtruth: bool = False
     groundtruth_scaled: bool = True
     remarks: list[str] = field(default_factory=list)

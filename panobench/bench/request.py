@@ -75,7 +75,7 @@ class RunRequest:
 
     camera: "KIND" or "KIND:VARIANT" as `--camera` takes it; fov: degrees, as `--fov` takes it.
     every: use each n-th frame. holdout: each n-th frame used is tracked, never mapped (0: none).
-    depth: "NAME" or "NAME:ARGUMENT" of a depth estimator. check: see ``bench.checking``.
+    depth: "NAME" or "NAME:ARGUMENT" of a depth estimator. mask: see ``bench.masking``. check: see ``bench.checking``.
     settings: what `--set` changes in the method's options.
     """
 
@@ -133,6 +133,12 @@ class RunRequest:
     fov: str | None = run_option(None, "Field of view in degrees: 120 or 120x60.", changes_input=True, label="{}° fov")
     depth: str | None = run_option(
         None, "First depth: NAME or NAME:ARGUMENT; default: bootstrap.", changes_input=False, label="{}"
+    )
+    mask: str | None = run_option(
+        None,
+        "What hides part of the view: auto, none, an estimator or an image file; default: auto for recordings.",
+        changes_input=False,
+        label="mask {}",
     )
     width: int | None = run_option(
         512,

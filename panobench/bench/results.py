@@ -11,6 +11,7 @@ import numpy as np
 
 from panobench.bench.config import config_values
 from panobench.bench.evaluate import Scores
+from panobench.bench.masking import write_mask
 from panobench.bench.provenance import ProvenanceRecord
 from panobench.bench.record import (
     DepthRecord,
@@ -141,6 +142,8 @@ def write_run(folder: Path, record: RunRecord, setup: RunSetup, tracked: Tracked
             record.notes["map"] = str(error)
     if estimate.depth is not None:
         write_depth(folder / RENDERS, estimate.depth)
+    if record.mask is not None and record.mask.hidden:
+        write_mask(folder, folder / RENDERS, sequence)
     write_record(folder, record)
 
 

@@ -18,6 +18,7 @@ from panobench.bench.blas import one_blas_thread
 from panobench.bench.checking import check_trajectory, chosen_check
 from panobench.bench.evaluate import Scores, evaluate
 from panobench.bench.interrupts import KeepWriting
+from panobench.bench.masking import apply_mask
 from panobench.bench.memory import Meter
 from panobench.bench.observer import Observer
 from panobench.bench.provenance import provenance
@@ -107,6 +108,8 @@ def _run(
     for remark in said:
         log(f"note: {remark}")
     holdout = held_out(len(setup.sequence), request.holdout)
+    observer.stage("looking for what moves with the camera" if setup.mask.spec else "reading the mask")
+    mask = apply_mask(setup.mask, setup.sequence, request.seed, log)
     _seed(request.seed)
     if kernel_cache.note():
         log(str(kernel_cache.note()))
@@ -123,6 +126,7 @@ def _run(
     timing.peak_rss_bytes, timing.cpu_s = meter.peak_rss_bytes, cpu_s
     record = run_record(request, setup, tracked, holdout, scores, timing, origin)
     record.cell = cell
+    record.mask = mask
     record.verdict = _verdict(request, setup, tracked, scores, folder, log, observer)
     log(f"verdict: {record.verdict.word} ({record.verdict.confidence:.2f})")
     for remark in record.remarks:
@@ -212,7 +216,8 @@ def _verdict(
     check = chosen_check(request, groundtruth=truth, batch=isinstance(setup.method, BatchMethod))
     others = {}
     if check is not None and tracked.status is RunStatus.OK and len(estimate.trajectory):
-        found = check_trajectory(request, check, tracked.given, folder, log, observer)
+        hidden = ~setup.sequence.camera.valid_mask()
+        found = check_trajectory(request, check, tracked.given, folder, log, observer, hidden)
         if found is not None:
             others[check] = found
     ended_badly = tracked.status not in (RunStatus.OK, RunStatus.INTERRUPTED)

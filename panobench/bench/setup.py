@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from panobench.bench.config import method_config
+from panobench.bench.masking import MaskChoice, choose_mask
 from panobench.bench.request import RunRequest
 from panobench.bench.views import ChosenFrames
 from panobench.datasets.base import FrameSequence
@@ -53,6 +54,7 @@ class RunSetup:
     config: Any
     sequence: ChosenFrames
     depth: DepthChoice | None
+    mask: MaskChoice
 
 
 def set_up_run(request: RunRequest) -> RunSetup:
@@ -63,6 +65,7 @@ def set_up_run(request: RunRequest) -> RunSetup:
     spec = method_spec(request)
     config = method_config(spec, request.preset, request.settings)
     depth = open_depth(request.depth)
+    mask = choose_mask(request.mask, request.dataset)
     cls = spec.load()
     method = cls(config) if spec.config is not None else cls()
     if not isinstance(method, (OnlineMethod, BatchMethod)):
@@ -74,7 +77,7 @@ def set_up_run(request: RunRequest) -> RunSetup:
     if "poses" in spec.needs and sequence.groundtruth is None and not own_poses:
         raise UnsupportedError(f"method '{spec.name}' needs given poses; sequence '{sequence.name}' has none")
     origin = registry().entries[MethodSpec.kind][spec.name].origin
-    return RunSetup(spec, origin, method, config, sequence, depth)
+    return RunSetup(spec, origin, method, config, sequence, depth, mask)
 
 
 def method_spec(request: RunRequest) -> MethodSpec:

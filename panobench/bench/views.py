@@ -31,6 +31,11 @@ class ChosenFrames(FrameSequence):
         """How many frames the whole sequence has."""
         return len(self._inner)
 
+    def hide(self, pixels: NDArray[np.bool_]) -> None:
+        """Take ``pixels`` (H, W) out of the camera's view, for whoever reads the frames from now on."""
+        if (self.camera.valid_mask() & pixels).any():
+            self.camera = self.camera.with_mask(self.camera.valid_mask() & ~pixels)
+
     def original(self, index: int) -> int:
         """The frame's number in the whole sequence."""
         return int(self._index[index])

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 #: Full strides per second.
 STRIDES = 0.9
 #: Where the camera is in the person's axes and how far below it the hand is: from nearest to on a stick.
-_NEAR, _FAR = np.array([0.10, 0.20, 1.60]), np.array([0.16, 0.55, 2.30])
+_NEAR, _FAR = np.array([0.10, 0.24, 1.60]), np.array([0.16, 0.55, 2.30])
 _GRIP_NEAR, _GRIP_FAR = 0.055, 0.75
 _STICK = Material(PLAIN, (0.03, 0.03, 0.03))
 
@@ -43,7 +43,8 @@ class Operator:
         camera = _FAR + near * (_NEAR - _FAR)
         slow = np.array([np.sin(0.9 * t + p[0]), np.sin(1.1 * t + p[1]), np.sin(0.7 * t + p[2])])
         step = np.array([np.sin(stride + p[3]), 0.6 * np.sin(2 * stride + p[4]), np.sin(2 * stride + p[5])])
-        camera = camera + 0.03 * slow + 0.012 * step
+        # An arm close to the body holds the camera more steadily.
+        camera = camera + (1 - 0.6 * near) * (0.03 * slow + 0.012 * step)
         grip = _GRIP_FAR + near * (_GRIP_NEAR - _GRIP_FAR)
         shake = 0.006 * np.array([np.sin(2.3 * t + p[6]), np.sin(1.7 * t + p[7]), 0.0])
         hand = camera - [0.0, 0.03, grip] + shake

@@ -22,7 +22,7 @@ class Form(NamedTuple):
 
 #: By field of ``Parts``; bare, low and high in the written unit.
 FORMS: Mapping[str, Form] = {
-    "operator": Form("", 0.01, 15, 1, 40),
+    "operator": Form("", 0.01, 15, 1, 35),
     "car": Form("", 0.01, 25, 5, 45),
     "walkers": Form("", 1, 3, 1, 12),
     "rolling": Form("ms", 1e-3, 15, 0.1, 100),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 #: Kinds in the order in which a name is looked up.
-KINDS = ("method", "depth", "dataset", "metric", "camera", "study")
+KINDS = ("method", "depth", "mask", "dataset", "metric", "camera", "study")
 
 
 @app.command()

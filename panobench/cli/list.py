@@ -28,10 +28,18 @@ KINDS = {
     "dataset": "datasets",
     "method": "methods",
     "depth": "depth estimators",
+    "mask": "mask estimators",
     "metric": "metrics",
     "study": "studies",
 }
-_SYNONYMS = {"cameras": "camera", "datasets": "dataset", "methods": "method", "metrics": "metric", "studies": "study"}
+_SYNONYMS = {
+    "cameras": "camera",
+    "datasets": "dataset",
+    "masks": "mask",
+    "methods": "method",
+    "metrics": "metric",
+    "studies": "study",
+}
 
 
 @app.command(name="list")

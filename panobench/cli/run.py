@@ -17,7 +17,7 @@ from panobench.cli.run_options import with_run_options
 from panobench.errors import UsageError
 
 if TYPE_CHECKING:
-    from panobench.bench.record import FramesRecord, RunRecord, VerdictRecord
+    from panobench.bench.record import FramesRecord, MaskRecord, RunRecord, VerdictRecord
 
 app = typer.Typer()
 EXIT_NOT_OK, EXIT_NOT_TRUSTED, EXIT_INTERRUPTED = 1, 3, 130
@@ -124,6 +124,13 @@ def tracked_text(frames: FramesRecord) -> str:
     return f"{frames.tracked} of {frames.given} frames{left}"
 
 
+def mask_source(mask: MaskRecord) -> str:
+    """Where a mask came from: "geometry", "camera", "mask.png", "geometry and camera"."""
+    given = mask.hidden > mask.found + 1e-6
+    found = (mask.file or mask.source) if mask.found else ""
+    return " and ".join(part for part in (found, "camera" if given else "") if part)
+
+
 def summary(folder: Path, record: RunRecord) -> str:
     """The most important numbers in a few lines, with what to know before comparing them; run.json has everything."""
     from panobench.bench.cautions import CAUTIONS, cautions
@@ -134,6 +141,8 @@ def summary(folder: Path, record: RunRecord) -> str:
         value = record.number(key)
         if value is not None:
             lines.append(f"{label:18}{form.format(value * factor)}")
+    if record.mask is not None and record.mask.hidden:
+        lines.append(f"{'mask':18}{record.mask.hidden:.1%} of the view hidden ({mask_source(record.mask)})")
     told = [word for word in cautions(record) if word != "doubtful"]  # the verdict's lines say that one
     lines += [f"{word}: {CAUTIONS[word].replace('’', chr(39))}" for word in told]
     lines += [f"note: {remark}" for remark in (*record.remarks, record.notes.get("ate_rotation_rmse_deg")) if remark]

@@ -11,6 +11,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         layout="SCENE/images/*.{png,jpg} (2:1), SCENE/groundtruth.txt with rows 'frame_id image_name x y z qx qy qz "
         "qw' in Blender camera axes, optional SCENE/depth/<stem>.{npy,png} and SCENE/novel/",
         camera="erp",
+        recorded=False,
     ),
     DatasetSpec(
         "folder",
@@ -45,6 +46,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "panobench.datasets.rooms:RoomsDataset",
         needs_root=False,
         camera="erp",
+        recorded=False,
     ),
     DatasetSpec(
         "disturbed",
@@ -52,6 +54,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "panobench.datasets.disturbed:DisturbedDataset",
         layout="--sequence DATASET/SEQUENCE+PART-NUMBER:NAME=NUMBER, for example rooms/room1+operator-15:noise=0.03",
         needs_root=False,
+        recorded=False,
     ),
     DatasetSpec(
         "tum-vi",
@@ -69,6 +72,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         layout="SEQUENCE/images/*.{png,jpg} (2:1), SEQUENCE/groundtruth.txt with rows 'frame_id image_name x y z qx qy "
         "qz qw', x right, y up, z forward",
         camera="erp",
+        recorded=False,
     ),
     DatasetSpec(
         "360loc",
@@ -86,6 +90,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         layout="SCENE/images/*.png and SCENE/transform.json (OmniBlender), or SCENE/Egocentric/images/NNNNN_rgb.png "
         "and cameras/NNNNN_cam.json (OB3D)",
         camera="erp",
+        recorded=False,
     ),
     DatasetSpec(
         "insta360-dual-fisheye",

@@ -96,6 +96,7 @@ def read_run(folder: Path) -> Run:
         pairs=_pairs(folder / RENDERS),
         mask=mask if (mask := folder / RENDERS / MASK).is_file() else None,
         depth=_depth(folder, record.depth),
+        hidden=_first(folder / RENDERS, "hidden"),
         log_tail=_log_tail(folder / LOG),
         warnings=tuple(warnings),
     )

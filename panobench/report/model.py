@@ -75,7 +75,8 @@ class Run:
     """One run folder: its record, and the other files in it.
 
     frames: columns of frames.csv. pairs: renders beside what they should show. mask: a
-    picture of where those were compared, white; None: everywhere. warnings: files that cannot be read.
+    picture of where those were compared, white; None: everywhere. hidden: a frame on which the run's mask is drawn.
+    warnings: files that cannot be read.
     """
 
     folder: Path
@@ -87,6 +88,7 @@ class Run:
     pairs: tuple[ImagePair, ...] = ()
     mask: Path | None = None
     depth: DepthPictures | None = None
+    hidden: Path | None = None
     log_tail: str = ""
     warnings: tuple[str, ...] = ()
 

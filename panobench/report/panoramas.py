@@ -142,6 +142,11 @@ def depth_pictures(run: Run, gallery: Gallery) -> dict[str, str] | None:
     return keys or None
 
 
+def hidden_picture(run: Run, gallery: Gallery) -> str | None:
+    """Key of the frame on which what was hidden is drawn, None when the run has no such picture."""
+    return None if run.hidden is None or run.record.mask is None else gallery.add(run.hidden)
+
+
 def novel_pictures(run: Run, gallery: Gallery) -> list[tuple[str, str | None, int]]:
     """(render key, truth key, number) of views off the trajectory, at most four."""
     pairs = [pair for pair in run.pairs if pair.novel]

@@ -11,7 +11,7 @@ import numpy as np
 from panobench.report import figures
 from panobench.report.mapview import MOST, map_size, map_trace
 from panobench.report.model import Run
-from panobench.report.panoramas import Gallery, depth_pictures, novel_pictures, viewer
+from panobench.report.panoramas import Gallery, depth_pictures, hidden_picture, novel_pictures, viewer
 from panobench.report.ranking import failure
 from panobench.report.variants import Variant
 
@@ -105,6 +105,11 @@ def place_section(
         keys = depth_pictures(run, gallery)
         if keys and run.depth is not None:
             depths.append({"label": label, "about": run.depth, **keys})
+    masks = [
+        {"label": label, "about": run.record.mask, "picture": shown}
+        for run, label in zip(runs, labels)
+        if (shown := hidden_picture(run, gallery))
+    ]
     return {
         "key": key,
         "dataset": runs[0].dataset,
@@ -121,6 +126,7 @@ def place_section(
         "charts": charts,
         "viewer": panorama,
         "depths": depths,
+        "masks": masks,
         "novel": novel,
         "map": labels[drawn] if trace is not None and drawn is not None else None,
         "alignment": sorted({r.errors.alignment for r in runs if r.errors}),

@@ -16,7 +16,7 @@ from typing import Literal
 
 from panobench.errors import PanobenchError
 from panobench.plugins import ENTRY_POINT_GROUP
-from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec, MetricSpec, Spec
+from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MaskSpec, MethodSpec, MetricSpec, Spec
 
 Outcome = Literal["pass", "fail", "skip"]
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
@@ -156,6 +156,10 @@ def _suite(spec: Spec, options: Options, unavailable: str | None) -> Checks:
         from panobench.testing.check_depth import depth_checks
 
         return depth_checks(spec, options)
+    if isinstance(spec, MaskSpec):
+        from panobench.testing.check_masks import mask_checks
+
+        return mask_checks(spec, options)
     return [("loads", lambda: _loads(spec))]
 
 

@@ -25,7 +25,7 @@ def test_parts_are_taken_out_of_a_name_and_the_rooms_own_variants_stay() -> None
     ("name", "error", "message"),
     [
         ("room1+opperator-5", UnknownNameError, "did you mean 'operator'"),
-        ("room1+operator-95", UsageError, "must be between 1 and 40"),
+        ("room1+operator-95", UsageError, "must be between 1 and 35"),
         ("room1+rolling-15mm", UsageError, "its unit is 'ms'"),
         ("room1+walkers-2.5", UsageError, "whole number"),
         ("room1+operator-1.2.3", UsageError, "is not a number"),

@@ -1,0 +1,145 @@
+"""The mask of a run: what hides part of the view from the method, as `--mask` says, and what is written about it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.bench.record import MaskRecord
+from panobench.bench.views import ChosenFrames, MethodSequence
+from panobench.cameras.base import Camera
+from panobench.errors import PanobenchError, UnavailableError, UnknownNameError, UsageError
+from panobench.masks.base import MaskEstimate, MaskEstimator
+from panobench.plugins import registry
+from panobench.specs import DatasetSpec, MaskSpec
+
+#: Values of the run option ``mask`` that are neither an estimator nor a file.
+AUTO, NONE = "auto", "none"
+#: The estimator that ``auto`` means.
+DEFAULT_MASK = "geometry"
+#: The mask in a run's folder (white: the method saw it), and a frame on which it is drawn.
+MASK, HIDDEN = "mask.png", "hidden.jpg"
+
+
+@dataclass(frozen=True)
+class MaskChoice:
+    """What the run option ``mask`` asks for: an estimator with its argument, or a file, or neither."""
+
+    spec: MaskSpec | None = None
+    argument: str = ""
+    file: Path | None = None
+
+    @property
+    def source(self) -> str:
+        return self.spec.name if self.spec else "file" if self.file else ""
+
+
+def choose_mask(option: str | None, dataset: str) -> MaskChoice:
+    """The choice that `--mask` makes; None: ``auto`` for recordings, none for rendered data.
+
+    Raises UsageError for a file that is not there, UnknownNameError for what is neither a file nor an estimator, and
+    UnavailableError for an estimator that cannot run here.
+    """
+    known = registry().specs(MaskSpec)
+    if option is None:
+        option = AUTO if registry().get(DatasetSpec, dataset).recorded and DEFAULT_MASK in known else NONE
+    if option == NONE:
+        return MaskChoice()
+    name, _, argument = (DEFAULT_MASK if option == AUTO else option).partition(":")
+    if name not in known:
+        path = Path(option).expanduser()
+        if path.is_file():
+            return MaskChoice(file=path)
+        if path.suffix or "/" in option:
+            raise UsageError(f"--mask {option}: there is no such file")
+        raise UnknownNameError("mask", name, [AUTO, NONE, *known])
+    spec = registry().get(MaskSpec, name)
+    reason = spec.unavailable()
+    if reason:
+        raise UnavailableError(f"mask estimator '{name}' cannot run here: {reason}")
+    if argument and not spec.argument:
+        raise UsageError(f"--mask {option}: '{name}' takes no argument")
+    spec.load()(argument)  # this refuses a wrong argument now
+    return MaskChoice(spec, argument)
+
+
+def find_mask(choice: MaskChoice, sequence: ChosenFrames, seed: int) -> MaskEstimate | None:
+    """The mask of a sequence; None without a choice. Raises DatasetError for a mask file that does not fit."""
+    camera = sequence.camera
+    if choice.file is not None:
+        return MaskEstimate(read_mask_for(camera, choice.file))
+    if choice.spec is None:
+        return None
+    estimator: MaskEstimator = choice.spec.load()(choice.argument)
+    found = estimator.estimate(MethodSequence(sequence), seed)
+    if found.valid.shape != (camera.height, camera.width):
+        raise UnavailableError(f"mask estimator '{choice.spec.name}' returned a mask of shape {found.valid.shape}")
+    return found
+
+
+def read_mask_for(camera: Camera, path: Path) -> NDArray[np.bool_]:
+    """A mask image (white: valid) at the camera's size, or at another size of the same proportions."""
+    from panobench.cameras.parametric import resize_mask
+    from panobench.datasets.images import read_mask, read_size
+
+    width, height = read_size(path)
+    mask = read_mask(path, (width, height))
+    if (width, height) == (camera.width, camera.height):
+        return mask
+    if abs(width * camera.height - height * camera.width) > max(width, height) * 2:
+        raise UsageError(f"--mask {path}: it is {width}x{height} pixels, the images are {camera.width}x{camera.height}")
+    return resize_mask(mask, camera.width, camera.height)
+
+
+def apply_mask(choice: MaskChoice, sequence: ChosenFrames, seed: int, log: Callable[[str], None]) -> MaskRecord | None:
+    """Find the mask and hide what it hides from whoever reads ``sequence``; what is said about it, if there is one.
+
+    An estimator that fails leaves the view as it is.
+    """
+    begin = time.perf_counter()
+    record = MaskRecord(choice.source, None if choice.file is None else choice.file.name)
+    try:
+        found = find_mask(choice, sequence, seed)
+    except PanobenchError as error:
+        if choice.spec is None:
+            raise
+        found, record.ok, record.message = None, False, str(error)
+    whole = sequence.camera.with_mask(None)
+    if found is not None:
+        before = sequence.camera.valid_mask()
+        record.ok, record.message = found.ok, found.message
+        record.details = dict(found.details) or None
+        if not (before & found.valid).any():
+            raise UsageError(f"--mask: the mask hides all of the view ({choice.source})")
+        record.found = _share(whole, before & ~found.valid)
+        if (before & ~found.valid).any():
+            sequence.hide(~found.valid)
+    record.hidden = _share(whole, whole.valid_mask() & ~sequence.camera.valid_mask())
+    if choice.source:
+        record.seconds = round(time.perf_counter() - begin, 3)
+        log(f"mask by {choice.source}: {record.message or f'{record.found:.1%} of the view hidden'}")
+    return record if choice.source or record.hidden else None
+
+
+def _share(camera: Camera, pixels: NDArray[np.bool_]) -> float:
+    """Share of the camera's view, by solid angle."""
+    area = camera.solid_angle()
+    return round(float(area[pixels].sum() / max(float(area.sum()), 1e-12)), 6)
+
+
+def write_mask(folder: Path, renders: Path, sequence: ChosenFrames) -> None:
+    """mask.png (white: seen) below ``folder``, and below ``renders`` a frame with what is hidden drawn red."""
+    from panobench.datasets.images import write_image
+
+    valid = sequence.camera.valid_mask()
+    write_image(folder / MASK, np.uint8(valid) * 255)
+    renders.mkdir(exist_ok=True)
+    image = sequence.image(len(sequence) // 2)
+    red = np.array([230, 50, 60])
+    drawn = np.where(valid[..., None], image, (0.45 * image + 0.55 * red).astype(np.uint8))
+    write_image(renders / HIDDEN, np.asarray(drawn, dtype=np.uint8), quality=88)

@@ -1,0 +1,191 @@
+"""Which directions move as the rigid scene does between two frames, and which do not.
+
+Along each direction of the first frame the second is searched where the scene can be: at the place each of a range of
+depths leads to. The rival is that the thing moves with the camera: it stays in the picture but for a little swaying,
+or it moves by itself, and then nothing fits better than chance. A direction votes between -1 (scene) and +1 (not), by
+the difference of the two costs over their sum; without texture both are small and it does not vote.
+
+With a pure translation what stays in the picture might be far away. It counts against the scene only as far as the
+corners around are near, and for less; and so does what stays for long (``lasting``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.masks.pairs import Pair
+from panobench.masks.panorama import Image, Panorama
+
+Array = NDArray[np.float64]
+
+#: Depths searched, from infinity to nearer than the nearest corner: one per so many pixels of parallax, within bounds.
+STEP, FEWEST_DEPTHS, MOST_DEPTHS = 1.0, 8, 40
+#: Swaying within which a thing moves with the camera, in pixels of the half-size panorama, and its price per pixel.
+SWAY, SWAY_PRICE = 2, 0.06
+#: A match costs at least this share of what a wrong match costs if nothing fits, or this many times the scene's own.
+CHANCE, CHANCE_OF_SCENE = 0.5, 1.8
+#: Cost of the scene over that of a wrong match, median over the view, below which a pair is good, and worthless above.
+GOOD, POOR = 0.25, 0.6
+#: Pixels by which a panorama is shifted to see what a wrong match costs.
+WRONG = 3.0
+#: Differences this small are noise.
+FLOOR = 0.10
+#: Cost of staying over that of a wrong match, median over the view: nothing has changed up to the first, all from the
+#: second.
+UNCHANGED, CHANGED = 0.5, 0.8
+#: Sine of the angle to a direction of travel up to which staying says nothing, and from which it says all it can.
+AHEAD, ASIDE = 0.4, 0.7
+#: Weight of votes that rest on the scene being near.
+FAR_WEIGHT = 0.3
+#: The scene is not further away than this share of a low quantile of the inverse depths of corners around.
+FARTHEST_SHARE, FARTHEST_QUANTILE, AROUND = 0.4, 0.25, 0.3
+
+
+@dataclass(frozen=True)
+class Small:
+    """A frame as the search sees it: normalised panoramas of full and half size."""
+
+    full: Image
+    half: Image
+
+
+class Searcher:
+    """Compares frames on a panorama ``width`` pixels wide."""
+
+    def __init__(self, width: int) -> None:
+        self.panorama, self._half, self._coarse = Panorama(width), Panorama(width // 2), Panorama(16)
+        self._seen: Image | None = None
+
+    def only_where(self, seen: NDArray[np.bool_]) -> None:
+        """The camera sees these directions (H, W); by default it sees all of them."""
+        self._seen = None if seen.all() else seen.astype(np.float32)
+
+    def small(self, image: NDArray[np.uint8]) -> Small:
+        """Of an RGB panorama of the right size."""
+        x = image.astype(np.float32)
+        half = cv2.resize(x, (self._half.width, self._half.height), interpolation=cv2.INTER_AREA)
+        return Small(self.panorama.normalised(x), self._half.normalised(np.asarray(half, dtype=np.float32)))
+
+    def votes(self, a: Small, b: Small, pair: Pair) -> tuple[Array, Array]:
+        """Votes (H, W) of the directions in frame a, and the weights they had."""
+        p = self.panorama
+        turned = p.rays @ pair.R.T
+        nearest_far = self._farthest(pair)
+        scene, near_scene, unknown = self._scene(a.full, b.full, turned, pair, nearest_far)
+        texture = self._wrong_match(a.full)
+        typical = float(np.median((scene / (texture + 0.02))[texture > 0.15])) if (texture > 0.15).any() else 0.0
+        chance = max(CHANCE, CHANCE_OF_SCENE * typical) * texture
+        # Where little of the view fits the motion, the motion or the pictures are doubtful.
+        trust = float(np.clip((POOR - typical) / (POOR - GOOD), 0.1, 1.0))
+        still = self._still(a.full, b.full)
+        swaying = np.minimum(np.minimum(still, self._swaying(a.half, b.half)), chance)
+        apart = np.arccos(np.clip(np.sum(p.rays * turned, axis=-1), -1, 1)) * p.pixels_per_radian
+        told_apart = np.clip(apart - 1.0, 0.0, 1.0)
+        vote = _vote(scene, swaying)
+        votes, weights = trust * told_apart * vote, trust * told_apart * np.abs(vote)
+        if near_scene is not None and nearest_far is not None:
+            parallax = np.linalg.norm(np.cross(turned, pair.t), axis=-1) * nearest_far * p.pixels_per_radian
+            weight = trust * (1 - told_apart) * FAR_WEIGHT * np.clip(parallax - 1.5, 0.0, 1.0)
+            vote = _vote(near_scene, np.minimum(still, chance))
+            votes, weights = votes + weight * vote, weights + weight * np.abs(vote)
+        # What may have left the view need not be found.
+        doubtful = unknown & (votes > 0)
+        return np.where(doubtful, 0.0, votes), np.where(doubtful, 0.0, weights)
+
+    def lasting(self, a: Small, b: Small, headings: Sequence[Array]) -> tuple[Array, Array]:
+        """Votes and weights (H, W) of two frames far apart: what is where it was although the view has changed.
+
+        That tells where the camera never turns. But what is very far away stays, too, and what lies in a direction of
+        travel, ``headings``, stays for long.
+        """
+        still, wrong = self._still(a.full, b.full), self._wrong_match(a.full)
+        textured = wrong > 0.15
+        changed = float(np.median(still[textured] / wrong[textured])) if textured.any() else 0.0
+        weight = FAR_WEIGHT * float(np.clip((changed - UNCHANGED) / (CHANGED - UNCHANGED), 0.0, 1.0))
+        aside = np.ones(still.shape)
+        for t in headings:
+            if t.any():
+                sine = np.linalg.norm(np.cross(self.panorama.rays, t), axis=-1)
+                aside = np.minimum(aside, np.clip((sine - AHEAD) / (ASIDE - AHEAD), 0.0, 1.0))
+        vote = _vote(CHANCE * wrong, still)
+        return weight * aside * vote, weight * aside * np.abs(vote)
+
+    def _scene(
+        self, a: Image, b: Image, turned: Array, pair: Pair, nearest_far: Image | None
+    ) -> tuple[Image, Image | None, NDArray[np.bool_]]:
+        """Least cost over all depths, and over those not beyond ``nearest_far`` (inverse depth per direction).
+
+        The third (H, W) says where some depth leads out of the view.
+        """
+        p = self.panorama
+        scene = np.full((p.height, p.width), np.inf, dtype=np.float32)
+        unknown = np.zeros(scene.shape, dtype=bool)
+        if not pair.t.any():
+            if self._seen is not None:
+                unknown = p.at(self._seen, turned) < 1
+            return p.difference(a, p.at(b, turned)), None, unknown
+        near = None if nearest_far is None else scene.copy()
+        known = pair.inverse[pair.inverse > 0]
+        high = 1.5 * float(np.percentile(known, 98)) if len(known) else 1.0
+        count = int(np.clip(np.ceil(high * p.pixels_per_radian / STEP), FEWEST_DEPTHS, MOST_DEPTHS))
+        for inverse in np.linspace(0.0, high, count + 1):
+            seen_along = turned + inverse * pair.t
+            cost = p.difference(a, p.at(b, seen_along))
+            if self._seen is not None:
+                unknown |= p.at(self._seen, seen_along) < 1
+            np.minimum(scene, cost, out=scene)
+            if near is not None and nearest_far is not None:
+                near = np.where(inverse >= 0.8 * nearest_far, np.minimum(near, cost), near)
+        return scene, near, unknown
+
+    def _still(self, a: Image, b: Image) -> Image:
+        """Least cost of staying in place, within a pixel."""
+        p = self.panorama
+        moves = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+        return np.asarray(np.min([p.difference(a, p.shifted(b, dx, dy)) for dx, dy in moves], axis=0))
+
+    def _swaying(self, a: Image, b: Image) -> Image:
+        """Least cost of moving a little, at full size."""
+        h = self._half
+        least = np.full((h.height, h.width), np.inf, dtype=np.float32)
+        for dy in range(-SWAY, SWAY + 1):
+            for dx in range(-SWAY, SWAY + 1):
+                far = float(np.hypot(dx, dy))
+                if far <= SWAY + 0.5:
+                    cost = h.difference(a, h.shifted(b, dx, dy), 3) + np.float32(SWAY_PRICE * (1 + far))
+                    np.minimum(least, cost, out=least)
+        size = (self.panorama.width, self.panorama.height)
+        return np.asarray(cv2.resize(least, size, interpolation=cv2.INTER_LINEAR))
+
+    def _wrong_match(self, a: Image) -> Image:
+        """What a match costs that is off by a few pixels."""
+        p = self.panorama
+        right, down = p.difference(a, p.shifted(a, WRONG, 0)), p.difference(a, p.shifted(a, 0, WRONG))
+        return np.asarray(0.5 * (right + down))
+
+    def _farthest(self, pair: Pair) -> Image | None:
+        """Inverse depth (H, W) beyond which the scene is not, by the corners around each direction."""
+        if not pair.t.any():
+            return None
+        ppr = self.panorama.pixels_per_radian
+        parallax = pair.inverse * np.linalg.norm(np.cross(pair.bearings @ pair.R.T, pair.t), axis=1) * ppr
+        # A corner that hardly moves at all may belong to what moves with the camera.
+        moving = (pair.inverse > 0) & ((parallax > 1.0) | (pair.moved * ppr > 1.0))
+        if int(moving.sum()) < 20:
+            return None
+        order = np.argsort(pair.inverse[moving])
+        bearings, inverse = pair.bearings[moving][order], pair.inverse[moving][order]
+        c = self._coarse
+        weights = np.cumsum(np.exp((c.rays.reshape(-1, 3) @ bearings.T - 1) / AROUND) + 1e-4, axis=1)
+        quantile = (weights > FARTHEST_QUANTILE * weights[:, -1:]).argmax(axis=1)
+        low = (FARTHEST_SHARE * inverse[quantile]).astype(np.float32).reshape(c.height, c.width)
+        return c.at(low, self.panorama.rays)
+
+
+def _vote(scene: Image, other: Image) -> Array:
+    return np.asarray((scene - other) / (scene + other + FLOOR), dtype=np.float64)

@@ -1,0 +1,11 @@
+"""Specs of the built-in mask estimators."""
+
+from panobench.specs import MaskSpec
+
+MASK_ESTIMATORS: tuple[MaskSpec, ...] = (
+    MaskSpec(
+        "geometry",
+        "what does not move as the rigid scene does while the camera moves; no weights",
+        "panobench.masks.geometry:GeometryMask",
+    ),
+)

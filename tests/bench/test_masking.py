@@ -1,0 +1,145 @@
+"""The mask of a run: what `--mask` chooses, what the method then sees, and what is written down."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from panobench.bench import masking
+from panobench.bench.artifacts import artifact_checksums
+from panobench.bench.masking import choose_mask, read_mask_for
+from panobench.bench.record import RunRecord, read_record
+from panobench.bench.request import RunRequest
+from panobench.bench.runner import execute
+from panobench.cameras.erp import ErpCamera
+from panobench.cli.run import summary
+from panobench.datasets.base import FrameSequence
+from panobench.datasets.images import read_mask, write_image
+from panobench.errors import DatasetError, UnknownNameError, UsageError
+from panobench.masks.base import MaskEstimate, MaskEstimator
+from panobench.plugins import Registered, registry
+from panobench.specs import MaskSpec, MethodSpec
+
+pytestmark = pytest.mark.usefixtures("fake_plugin")
+LOWER = np.arange(64)[:, None].repeat(128, axis=1) >= 48
+
+
+class Lower(MaskEstimator):
+    """Hides the lowest quarter."""
+
+    seen: FrameSequence | None = None
+
+    def estimate(self, sequence: FrameSequence, seed: int = 0) -> MaskEstimate:
+        type(self).seen = sequence
+        return MaskEstimate(~LOWER, message="a quarter is hidden", details={"pairs": 1})
+
+
+class Fails(MaskEstimator):
+    def estimate(self, sequence: FrameSequence, seed: int = 0) -> MaskEstimate:
+        raise DatasetError("no frame can be read")
+
+
+@pytest.fixture
+def estimators(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = dict(registry().entries["mask"])
+    for cls in (Lower, Fails):
+        monkeypatch.setattr(masking, cls.__name__, cls, raising=False)
+        spec = MaskSpec(cls.__name__.lower(), "for tests", f"panobench.bench.masking:{cls.__name__}")
+        entries[spec.name] = Registered(spec, "test")
+    monkeypatch.setitem(registry().entries, "mask", entries)
+
+
+def run(tmp_path: Path, mask: str | None, **options: Any) -> tuple[Path, RunRecord]:
+    request = RunRequest(method="fake-still", dataset="tiny", width=128, mask=mask, **options)
+    folder = execute(request, tmp_path / "run", force=True)
+    return folder, read_record(folder)
+
+
+def painted(tmp_path: Path, hidden: np.ndarray) -> Path:
+    path = tmp_path / "painted.png"
+    write_image(path, np.uint8(~hidden) * 255)
+    return path
+
+
+def test_recordings_are_looked_at_and_rendered_data_are_not() -> None:
+    assert choose_mask(None, "video").source == "geometry"
+    assert choose_mask(None, "rooms").source == ""
+    assert choose_mask("auto", "rooms").source == "geometry"
+    assert choose_mask("geometry", "rooms").source == "geometry"
+    assert choose_mask("none", "video").source == ""
+
+
+@pytest.mark.parametrize(
+    ("mask", "error", "message"),
+    [
+        ("geometri", UnknownNameError, "did you mean 'geometry'"),
+        ("geometry:3", UsageError, "takes no argument"),
+        ("there/is/none.png", UsageError, "no such file"),
+    ],
+)
+def test_mistakes_are_said_before_anything_runs(mask: str, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        choose_mask(mask, "rooms")
+
+
+def test_a_file_hides_what_is_black_in_it(tmp_path: Path) -> None:
+    path = painted(tmp_path, LOWER)
+    folder, record = run(tmp_path, str(path))
+    assert record.mask is not None
+    assert (record.mask.source, record.mask.file) == ("file", "painted.png")
+    area = ErpCamera(128, 64).solid_angle()
+    assert record.mask.hidden == record.mask.found == pytest.approx(area[LOWER].sum() / area.sum(), abs=1e-5)
+    assert np.array_equal(read_mask(folder / "mask.png", (128, 64)), ~LOWER)
+    assert (folder / "renders" / "hidden.jpg").is_file()
+    assert f"{'mask':18}14.6% of the view hidden (painted.png)" in summary(folder, record)
+    request = RunRequest(method="fake-still", dataset="tiny", width=128, mask=str(path))
+    spec = registry().get(MethodSpec, "fake-still")
+    before = artifact_checksums(request, spec, None)["mask"]
+    painted(tmp_path, ~LOWER)
+    assert artifact_checksums(request, spec, None)["mask"] != before
+
+
+def test_a_file_of_another_size_is_resized_and_one_of_other_proportions_refused(tmp_path: Path) -> None:
+    path = painted(tmp_path, LOWER)
+    small = read_mask_for(ErpCamera(64, 32), path)
+    assert small.shape == (32, 64)
+    assert small[:24].all()
+    assert not small[24:].any()
+    write_image(path, np.full((64, 64), 255, np.uint8))
+    with pytest.raises(UsageError, match="64x64 pixels, the images are 128x64"):
+        read_mask_for(ErpCamera(128, 64), path)
+    write_image(path, np.zeros((64, 128), np.uint8))
+    with pytest.raises(UsageError, match="hides all of the view"):
+        run(tmp_path, str(path))
+
+
+def test_what_an_estimator_finds_is_hidden_and_said(tmp_path: Path, estimators: None) -> None:
+    folder, record = run(tmp_path, "lower")
+    assert record.mask is not None
+    assert (record.mask.source, record.mask.message) == ("lower", "a quarter is hidden")
+    assert record.mask.details == {"pairs": 1}
+    assert record.mask.seconds is not None
+    assert record.mask.found == pytest.approx(0.146, abs=0.002)
+    assert "mask by lower: a quarter is hidden" in (folder / "log.txt").read_text()
+    assert Lower.seen is not None
+    assert Lower.seen.groundtruth is None  # estimators are as blind as methods
+
+
+def test_an_estimator_that_fails_leaves_the_view_as_it_is(tmp_path: Path, estimators: None) -> None:
+    folder, record = run(tmp_path, "fails")
+    assert record.ok
+    assert record.mask is not None
+    assert not record.mask.ok
+    assert record.mask.message == "no frame can be read"
+    assert record.mask.hidden == 0
+    assert not (folder / "mask.png").exists()
+
+
+def test_without_a_mask_nothing_is_written(tmp_path: Path) -> None:
+    folder, record = run(tmp_path, "none")
+    assert record.mask is None
+    assert not (folder / "mask.png").exists()
+    assert "of the view hidden" not in summary(folder, record)

@@ -1,0 +1,105 @@
+"""The mask from geometry alone: operators are found, rooms stay whole, and what cannot be told is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mask_walks import walk
+
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.kannala_brandt import KannalaBrandtCamera
+from panobench.capture.sequence import CapturedSequence
+from panobench.datasets.base import FrameSequence
+from panobench.datasets.converted import ConvertedSequence
+from panobench.geometry import so3_exp
+from panobench.masks.base import MaskEstimate
+from panobench.masks.geometry import GeometryMask, view_share
+from panobench.plugins import registry
+from panobench.specs import MaskSpec
+from panobench.testing import check_spec
+
+
+class Frames(FrameSequence):
+    """Given images."""
+
+    name, dataset = "frames", "frames"
+
+    def __init__(self, camera: ErpCamera, images: list[np.ndarray]) -> None:
+        self.camera, self._images, self.times = camera, images, np.arange(len(images)) / 15
+
+    def image(self, index: int) -> np.ndarray:
+        return self._images[index]
+
+
+def estimate(sequence: FrameSequence) -> MaskEstimate:
+    return GeometryMask().estimate(sequence)
+
+
+def scores(sequence: CapturedSequence, found: MaskEstimate) -> tuple[float, float]:
+    """Mean share of the carrier that is hidden, and share of the sphere hidden where it never is."""
+    area = sequence.camera.solid_angle() / (4 * np.pi)
+    true = np.stack([sequence.hidden(i)[0] for i in range(0, len(sequence), 6)])
+    recall = np.mean([(~found.valid & t).dot(area.T).trace() / t.dot(area.T).trace() for t in true])
+    return float(recall), float((area * (~found.valid & ~true.any(axis=0))).sum())
+
+
+@pytest.mark.parametrize("name", ["tiny+operator-15", "tiny+operator-5+seed-1", "tiny+car-20"])
+def test_whoever_carries_the_camera_is_hidden(name: str) -> None:
+    sequence = walk(name)
+    assert isinstance(sequence, CapturedSequence)
+    found = estimate(sequence)
+    recall, wrongly = scores(sequence, found)
+    assert found.ok
+    assert recall > 0.9
+    assert wrongly < 0.06
+
+
+def test_a_room_with_nobody_in_it_stays_whole() -> None:
+    found = estimate(walk("tiny"))
+    assert found.ok
+    assert found.valid.all()
+    assert "nothing moves with the camera" in found.message
+
+
+def test_a_still_camera_says_that_it_cannot_tell() -> None:
+    sequence = walk("tiny+operator-15")
+    found = estimate(Frames(ErpCamera(192, 96), [sequence.image(0)] * 20))
+    assert not found.ok
+    assert found.valid.all()
+    assert "hardly moves" in found.message
+
+
+def test_a_camera_that_only_turns_hides_nothing_but_what_turns_with_it() -> None:
+    from panobench.cameras.reproject import Reprojector
+
+    camera = ErpCamera(192, 96)
+    scene, images = walk("tiny").image(0), []
+    for i in range(24):
+        images.append(Reprojector(camera, camera, so3_exp([0.01 * np.sin(i), 0.05 * i, 0.0])).image(scene))
+    assert estimate(Frames(camera, images)).valid.all()
+    pattern = np.random.default_rng(0).integers(0, 255, (12, 24, 3)).repeat(4, axis=0).repeat(4, axis=1)
+    for image in images:
+        image[48:, 48:144] = pattern[:48, :96]
+    hidden = ~estimate(Frames(camera, images)).valid
+    assert hidden[52:90, 56:136].mean() > 0.9
+    assert hidden[:40].mean() < 0.02
+
+
+def test_other_cameras_and_masks_that_are_there_already() -> None:
+    source = walk("tiny+operator-15")
+    fisheye = KannalaBrandtCamera(128, 128, 42.0, 42.0, 64.0, 64.0, fov_deg=170.0)
+    down = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    found = estimate(ConvertedSequence(source, fisheye, down))
+    assert found.ok
+    assert 0.1 < view_share(fisheye.solid_angle(), fisheye.valid_mask() & ~found.valid) < 0.8
+    rows = np.arange(96)[:, None].repeat(192, axis=1)
+    camera = ErpCamera(192, 96, mask=rows < 60)
+    clean = walk("tiny")
+    masked = [np.where(camera.valid_mask()[..., None], clean.image(i), 0) for i in range(len(clean))]
+    assert np.array_equal(estimate(Frames(camera, masked)).valid, camera.valid_mask())
+
+
+def test_it_keeps_the_contract_of_mask_estimators() -> None:
+    checks = check_spec(registry().get(MaskSpec, "geometry"))
+    assert [f"{c.name}: {c.message}" for c in checks if c.outcome == "fail"] == []
+    assert {c.name for c in checks} >= {"answer", "determinism", "short"}
