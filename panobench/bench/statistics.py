@@ -57,9 +57,18 @@ def summarise(values: Sequence[float | None], *, higher_is_better: bool = False,
 
 def median_interval(values: Sequence[float] | NDArray[np.float64], *, seed: int = 0) -> tuple[float, float]:
     """Percentile-bootstrap interval of the median (Efron & Tibshirani 1993)."""
+    from scipy.stats import bootstrap
+
     data = np.asarray(values, dtype=np.float64)
-    picks = np.random.default_rng(seed).integers(0, len(data), size=(_DRAWS, len(data)))
-    return _percentiles(np.median(data[picks], axis=1))
+    found = bootstrap(
+        (data,),
+        np.median,
+        n_resamples=_DRAWS,
+        confidence_level=LEVEL,
+        method="percentile",
+        random_state=np.random.default_rng(seed),
+    )
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def _percentiles(draws: NDArray[np.float64]) -> tuple[float, float]:
@@ -71,14 +80,17 @@ def signed_rank_p(a: Sequence[float], b: Sequence[float]) -> float:
     """Two-sided p of Wilcoxon's signed-rank test for paired values, exact for any ties (Wilcoxon 1945).
 
     Pairs without a difference (both failed included) are left out; a failure against a number is the largest
-    difference there is. All 2^n sign patterns are counted by dynamic programming over the sum of ranks.
+    difference there is. All 2^n sign patterns are counted by dynamic programming over the sum of ranks, because
+    scipy.stats.wilcoxon is exact only without ties, and two failures always tie.
     """
+    from scipy.stats import rankdata
+
     differences = np.array([_difference(x, y) for x, y in zip(a, b, strict=True)])
     differences = differences[differences != 0]
     n = len(differences)
     if n == 0:
         return 1.0
-    doubled = np.rint(2 * _ranks(np.abs(differences))).astype(int)  # ties give half ranks
+    doubled = np.rint(2 * rankdata(np.abs(differences))).astype(int)  # ties give half ranks
     total = int(doubled.sum())
     ways = np.zeros(total + 1)
     ways[0] = 1.0
@@ -91,13 +103,6 @@ def signed_rank_p(a: Sequence[float], b: Sequence[float]) -> float:
 
 def _difference(x: float, y: float) -> float:
     return 0.0 if x == y else x - y
-
-
-def _ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """1 for the smallest; equal values share their mean rank."""
-    _, where, count = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(count)
-    return np.asarray((last - (count - 1) / 2)[where])
 
 
 def holm(p: Sequence[float]) -> list[float]:
