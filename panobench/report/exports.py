@@ -40,6 +40,8 @@ _LATEX = {
 _COLUMN, _PAGE = 44, 78
 #: A table is never scaled below this share of its size, but split; and no part has more rows than a page.
 _SMALLEST, _ROWS = 0.62, 38
+#: Letters of a line of a column's heading.
+_HEADING = 11
 
 
 def to_latex(tables: Sequence[Table]) -> str:
@@ -72,7 +74,25 @@ def _parts(table: Table) -> list[tuple[Table, int, int]]:
 
 def _width(table: Table, j: int) -> int:
     """The width of a column in characters, with the space beside it."""
-    return 2 + max(len(_heading(table.columns[j])), *(_cell_width(row, j) for row in table.rows), 0)
+    return 2 + max(*map(len, _heading_lines(table.columns[j])), *(_cell_width(row, j) for row in table.rows), 0)
+
+
+def _heading_lines(column: Column) -> list[str]:
+    """A heading broken between words, its unit last: long headings would make columns of short numbers wide."""
+    lines: list[str] = []
+    for word in [*column.label.split(), *([f"[{column.unit}]"] if column.unit else [])]:
+        if lines and len(lines[-1]) + 1 + len(word) <= _HEADING:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    return lines or [""]
+
+
+def _latex_heading(column: Column) -> str:
+    lines = [latex_text(line) for line in _heading_lines(column)]
+    side = "r" if column.numeric else "l"
+    # an empty group before a bracket, which would be an argument of the line break
+    return lines[0] if len(lines) == 1 else rf"\shortstack[{side}]{{{(chr(92) * 2 + '{}').join(lines)}}}"
 
 
 def _cell_width(row: Row, j: int) -> int:
@@ -94,10 +114,11 @@ def _latex_table(table: Table, number: int = 1, count: int = 1) -> str:
         r"\centering",
         rf"\caption{{{latex_text(caption)}}}",
         rf"\label{{tab:{label}}}",
+        r"\par\medskip",
         *([r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"] if wide else []),
         rf"\begin{{tabular}}{{{''.join('r' if c.numeric else 'l' for c in table.columns)}}}",
         r"\toprule",
-        " & ".join(latex_text(_heading(c)) for c in table.columns) + r" \\",
+        " & ".join(_latex_heading(c) for c in table.columns) + r" \\",
         r"\midrule",
     ]
     before = None

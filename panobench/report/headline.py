@@ -8,11 +8,15 @@ from datetime import datetime
 
 from panobench import __version__
 from panobench.bench.provenance import ProvenanceRecord
+from panobench.report.accuracy import competes, conditions
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
 from panobench.report.table_model import length_text
 from panobench.report.tables import ACCURACY, COST, RENDERING, Quantity
 from panobench.report.variants import Variant
+
+#: The run options that decide what pictures a method gets.
+_PICTURES = ("camera", "fov", "width")
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> l
         return run_tiles(collection.runs[0])
     failed = sum(failure(r) is not None for r in collection.runs)
     out = [Tile("Runs", str(len(collection.runs)), note=f"{failed} failed" if failed else "all succeeded")]
-    good = [(r, v.label) for v, runs in grouped.items() for r in runs if not failure(r) and not r.given_poses]
+    good = [(r, v.label) for v, runs in grouped.items() for r in runs if not failure(r) and competes([r])]
     # a method that finds no path is not the fastest
     good = [(r, label) for r, label in good if r.number("ate_rmse_m") is not None] or good
     for name, key, best, text, unit in (
@@ -54,7 +58,8 @@ def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> l
         ("Fastest", "fps", max, lambda v: f"{v:.2f}", "frames/s"),
     ):
         scored = [(value, r, label) for r, label in good if (value := r.number(key)) is not None]
-        if scored:
+        # the best render of several cameras or sizes is the best of nothing
+        if scored and (key != "pano_psnr_db" or len({conditions([r], _PICTURES) for _, r, _ in scored}) == 1):
             value, run, label = best(scored, key=lambda s: s[0])
             out.append(Tile(name, text(value), unit, f"{label}, {run.sequence}"))
     return out

@@ -305,3 +305,13 @@ def test_names_from_data_cannot_break_an_export(make_run):
     assert csv_text("=HYPERLINK(1)") == "'=HYPERLINK(1)"
     assert csv_text("-1.5") == "-1.5"
     json.loads(FORMATS["json"](tables))
+
+
+def test_the_best_render_is_named_only_among_pictures_of_one_size(make_run):
+    make_run("a", method="one")
+    store = make_run("b", method="two").parent
+    found = collect([store])
+    assert "Highest panorama PSNR" in [t.name for t in tiles(found, variants(found))]
+    make_run("c", method="three", spec={"camera": "pinhole"})
+    found = collect([store])
+    assert "Highest panorama PSNR" not in [t.name for t in tiles(found, variants(found))]
