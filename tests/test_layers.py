@@ -19,6 +19,7 @@ ABOVE_METHODS = {"bench", "report", "studies", "viewer", "testing", "cli"}
 FORBIDDEN = {
     "cameras": {"kernels", "datasets", "photometric", "splat", "depth", "methods", "metrics"} | ABOVE_METHODS,
     "datasets": {"photometric", "splat", "depth", "methods", "metrics"} | ABOVE_METHODS,
+    "trajectories": {"photometric", "splat", "depth", "methods", "metrics"} | ABOVE_METHODS,
     "photometric": {"splat", "datasets", "depth", "methods", "metrics"} | ABOVE_METHODS,
     "splat": {"photometric", "datasets", "depth", "methods", "metrics"} | ABOVE_METHODS,
     "depth": {"splat", "methods", "metrics"} | ABOVE_METHODS,
