@@ -18,8 +18,6 @@ from panobench.types import Estimate
 PROTOCOL_VERSION = "1.3"
 #: A run that tracked a smaller share of its frames is lost.
 MIN_TRACKED = 0.9
-#: The picture, beside the stored renders, of where a mask lets them be compared.
-MASK = "mask.png"
 #: A run with a larger ATE is lost too. The largest error in the paper's tables is 2.66 m; beyond, they print "/".
 FAILED_ATE_M = 3.0
 

@@ -16,7 +16,7 @@ from panobench.cameras.base import Camera
 from panobench.datasets.images import write_image
 from panobench.errors import UnsupportedError
 from panobench.metrics.alignment import match, world_alignment
-from panobench.metrics.base import MASK, MetricInput, Render
+from panobench.metrics.base import MetricInput, Render
 from panobench.metrics.image_quality import psnr, ssim
 from panobench.metrics.lpips import Lpips, find_lpips
 from panobench.metrics.perspective import perspective_views
@@ -64,7 +64,6 @@ def rendering_metrics(data: MetricInput) -> dict[str, float | None]:
             return {}
         if i in stored and data.renders is not None:
             write_pair(data.renders, f"{i:06d}", render, truth)
-            write_mask(data.renders, judge.valid)
         judge.add(means, truth, render, poses[i], held_out=i in held)
     novel_views(data, judge, means)
     return means.result()
@@ -154,12 +153,6 @@ def novel_views(data: MetricInput, judge: FrameJudge, means: Means) -> None:
         means.add("novel_ssim", ssim(render, truth, valid))
         if data.renders is not None and number < STORED_FRAMES:
             write_pair(data.renders, f"novel_{number:03d}", render, truth)
-
-
-def write_mask(folder: Path, valid: NDArray[np.bool_]) -> None:
-    """mask.png beside the pictures, once: white where frame and render are compared. None is written if all are."""
-    if not valid.all() and not (folder / MASK).exists():
-        write_image(folder / MASK, np.repeat(np.uint8(255) * valid[..., None].astype(np.uint8), 3, axis=2))
 
 
 def write_pair(folder: Path, stem: str, render: Image, truth: Image) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from panobench.bench.masking import MASK
 from panobench.bench.record import DepthRecord, read_record
 from panobench.bench.rescore import Protocol
 from panobench.bench.runfolder import FRAMES, GROUNDTRUTH, LOG, RENDERS, RUN_JSON, TRAJECTORY, folders_with
@@ -18,7 +19,6 @@ from panobench.bench.store import QUARANTINE
 from panobench.bench.study_record import STUDY_JSON, StoredStudy, read_study
 from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import InputError
-from panobench.metrics.base import MASK
 from panobench.report.model import Array, Collection, DepthPictures, Errors, ImagePair, Problem, Run
 from panobench.types import Trajectory
 
@@ -94,7 +94,7 @@ def read_run(folder: Path) -> Run:
         errors=trajectory_errors(trajectory, groundtruth, Protocol.of(record)) if trajectory is not None else None,
         frames=frames,
         pairs=_pairs(folder / RENDERS),
-        mask=mask if (mask := folder / RENDERS / MASK).is_file() else None,
+        mask=mask if (mask := folder / MASK).is_file() else None,
         depth=_depth(folder, record.depth),
         hidden=_first(folder / RENDERS, "hidden"),
         log_tail=_log_tail(folder / LOG),

@@ -305,7 +305,7 @@ def test_what_a_mask_hides_is_black_in_the_difference(browser, make_run, tmp_pat
     folder = make_run("masked", pictures=1)
     mask = np.full((64, 128, 3), 255, np.uint8)
     mask[48:] = 0
-    cv2.imwrite(str(folder / "renders" / "mask.png"), mask)
+    cv2.imwrite(str(folder / "mask.png"), mask)
     write_report([folder], tmp_path / "masked.html")
     browser.open(tmp_path / "masked.html")
     browser.evaluate("document.querySelector('.pano').scrollIntoView()")
