@@ -6,7 +6,7 @@ This happens before anything is written; every mistake of the user is a Panobenc
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,7 @@ class RunSetup:
     config: Any
     sequence: ChosenFrames
     depth: DepthChoice | None
-    mask: MaskChoice
+    mask: MaskChoice = field(default_factory=MaskChoice)
 
 
 def set_up_run(request: RunRequest) -> RunSetup:

@@ -106,9 +106,9 @@ def place_section(
         if keys and run.depth is not None:
             depths.append({"label": label, "about": run.depth, **keys})
     masks = [
-        {"label": label, "about": run.record.mask, "picture": shown}
+        {"label": label, "about": run.record.mask, "picture": picture}
         for run, label in zip(runs, labels)
-        if (shown := hidden_picture(run, gallery))
+        if (picture := hidden_picture(run, gallery))
     ]
     return {
         "key": key,
