@@ -41,11 +41,21 @@ def chosen_check(request: RunRequest, *, groundtruth: bool, batch: bool = False)
     return BACKWARDS if chosen == request.method else chosen
 
 
+#: Of frames read ahead to go through them backwards.
+BLOCK_BYTES = 64 << 20
+
+
 class Backwards(FrameSequence):
-    """The frames of a sequence in reverse order."""
+    """The frames of a sequence in reverse order.
+
+    They are read forwards in blocks: a video that is read frame by frame backwards is decoded from its last key frame
+    for each of them.
+    """
 
     def __init__(self, inner: FrameSequence, count: int) -> None:
         self._inner, self._count = inner, count
+        self._block: dict[int, NDArray[np.uint8]] = {}
+        self._size = max(1, BLOCK_BYTES // (3 * inner.camera.width * inner.camera.height))
         self.name, self.dataset, self.camera = inner.name, inner.dataset, inner.camera
         self.times = self.reversed_times(np.asarray(inner.times)[:count])
 
@@ -55,7 +65,10 @@ class Backwards(FrameSequence):
         return np.ascontiguousarray((times[-1] - times)[::-1])
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        return self._inner.image(self._count - 1 - index)
+        last = self._count - 1 - index
+        if last not in self._block:
+            self._block = {k: self._inner.image(k) for k in range(max(last - self._size + 1, 0), last + 1)}
+        return self._block[last]
 
     def frame_name(self, index: int) -> str:
         return self._inner.frame_name(self._count - 1 - index)
