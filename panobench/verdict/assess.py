@@ -9,6 +9,9 @@ from panobench.verdict import estimate as own
 from panobench.verdict import trajectory as path
 from panobench.verdict.base import Evidence, Verdict, decide
 
+#: Trust in a second method's opinion from which it confirms the path.
+CONFIRMED = 0.9
+
 
 def assess(
     estimate: Estimate,
@@ -22,14 +25,16 @@ def assess(
     metrics: what the run's own map scored at the frames themselves. others: trajectories of other methods on the same
     frames, by name. rejected: why the run does not count anyway ("" if it does); the verdict is then "failed".
     """
+    opinions = [path.second_method(estimate.trajectory, t, name, given) for name, t in (others or {}).items()]
+    confirmed = any(opinion is not None and opinion.trust > CONFIRMED for opinion in opinions)
     found: list[Evidence | None] = [
         path.coverage(len(estimate.trajectory), given),
         path.steadiness(estimate.trajectory),
-        own.first_depth(estimate),
+        own.first_depth(estimate, confirmed=confirmed),
         own.agreement(estimate),
         own.map_pictures(metrics or {}),
+        *opinions,
     ]
-    found += [path.second_method(estimate.trajectory, t, name, given) for name, t in (others or {}).items()]
     if rejected:
         found.append(Evidence("status", 0.0, rejected))
     return decide([e for e in found if e is not None])

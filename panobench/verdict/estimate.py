@@ -9,22 +9,23 @@ import numpy as np
 from panobench.types import Estimate
 from panobench.verdict.base import Evidence, falling
 
-#: Trust in a map that started from a depth that had failed its own check.
-CONSTANT_START = 0.4
+#: Trust in a map that started from a depth that had failed its own check; the same where a second method has confirmed
+#: the path, which is what such a start could have spoilt.
+FAILED_START, FAILED_START_CONFIRMED = 0.4, 0.8
 #: PSNR of the map at its own frames, in dB, that a right run of a recording reaches, and that no right run has.
 PSNR_GOOD, PSNR_BAD = 19.0, 13.0
 #: Median share of textured blocks in which frame and render agree.
 AGREEMENT_GOOD, AGREEMENT_BAD = 0.65, 0.35
 
 
-def first_depth(estimate: Estimate) -> Evidence | None:
-    """Whether the depth that the map started from had passed its own check."""
+def first_depth(estimate: Estimate, *, confirmed: bool = False) -> Evidence | None:
+    """Whether the depth that the map started from had passed its own check. confirmed: a second method's path agrees."""
     if estimate.depth is None:
         return None
     if estimate.depth.ok:
         return Evidence("first depth", 1.0, "the first depth passed its check")
     return Evidence(
-        "first depth", CONSTANT_START, f"the map started from a depth that failed its check ({estimate.depth.message})",
+        "first depth", FAILED_START_CONFIRMED if confirmed else FAILED_START, f"the map started from a depth that failed its check ({estimate.depth.message})",
         "start where the camera moves sideways past things at different distances, or mask what moves with it (--mask)",
     )  # fmt: skip
 

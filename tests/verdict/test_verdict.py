@@ -90,6 +90,14 @@ def test_a_constant_start_and_a_blurred_map_are_doubts_that_add_up() -> None:
     assert "constant depth" in constant.reasons[0]
 
 
+def test_a_failed_start_matters_less_where_a_second_method_confirms_the_path() -> None:
+    alone = assess(Estimate(walk(), depth=depth(False)), 60)
+    confirmed = assess(Estimate(walk(), depth=depth(False)), 60, others={"sparse": walk(noise=0.0005)})
+    assert alone.word is Word.DOUBTFUL
+    assert confirmed.word is Word.TRUSTED
+    assert "failed its check" in confirmed.reasons[0]
+
+
 def test_what_the_map_does_not_explain_counts() -> None:
     rows = {i: {"agreement": 0.3 if i % 3 == 0 else 0.9} for i in range(30)}
     assert assess(Estimate(walk(), frames=rows), 60).word is not Word.TRUSTED
