@@ -19,15 +19,17 @@ AGREEMENT_GOOD, AGREEMENT_BAD = 0.65, 0.35
 
 
 def first_depth(estimate: Estimate, *, confirmed: bool = False) -> Evidence | None:
-    """Whether the depth that the map started from had passed its own check. confirmed: a second method's path agrees."""
+    """Whether the depth that the map started from had passed its check. confirmed: a second method's path agrees."""
     if estimate.depth is None:
         return None
     if estimate.depth.ok:
         return Evidence("first depth", 1.0, "the first depth passed its check")
     return Evidence(
-        "first depth", FAILED_START_CONFIRMED if confirmed else FAILED_START, f"the map started from a depth that failed its check ({estimate.depth.message})",
+        "first depth",
+        FAILED_START_CONFIRMED if confirmed else FAILED_START,
+        f"the map started from a depth that failed its check ({estimate.depth.message})",
         "start where the camera moves sideways past things at different distances, or mask what moves with it (--mask)",
-    )  # fmt: skip
+    )
 
 
 def map_pictures(metrics: Mapping[str, float | None]) -> Evidence | None:
