@@ -203,3 +203,15 @@ def test_a_published_page_does_not_say_where_files_lie(make_run, edit, tmp_path)
         assert kept in text, kept
     write_report([folder], tmp_path / "r.html")
     assert "/mnt/data/rooms" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_what_was_hidden_from_a_method_is_drawn_and_said(make_run, edit, tmp_path):
+    folder = make_run("run", pictures=0, depth=False)
+    (folder / "renders").mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / "renders" / "hidden.jpg"), np.full((32, 64, 3), 90, np.uint8))
+    mask = {"source": "geometry", "message": "13.4% moves", "found": 0.134, "hidden": 0.2}
+    edit(folder, lambda d: d.update(mask=mask))
+    text = page([folder], tmp_path)
+    assert "What was hidden from the method" in text
+    assert "20.0% of the view is hidden (red), 13.4% by geometry. 13.4% moves." in text
+    assert len(data_of(text)["images"]) == 1
