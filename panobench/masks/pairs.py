@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,7 +31,7 @@ MOST_FRAMES = 24
 #: Corners within this of the motion found belong to the rigid scene, in face pixels.
 INLIER_PX = 1.0
 RANSAC_CORNERS, RANSAC_TRIALS = 200, 80
-_LK = {"winSize": (13, 13), "maxLevel": 3, "criteria": (3, 20, 0.02), "minEigThreshold": 1e-4}
+_LK: dict[str, Any] = {"winSize": (13, 13), "maxLevel": 3, "criteria": (3, 20, 0.02), "minEigThreshold": 1e-4}
 
 
 @dataclass(frozen=True)
