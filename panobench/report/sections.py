@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from panobench.report import figures
+from panobench.report.drawing import plan_svg
 from panobench.report.mapview import MOST, map_size, map_trace
 from panobench.report.model import Run
 from panobench.report.panoramas import Gallery, depth_pictures, hidden_picture, novel_pictures, viewer
@@ -30,6 +32,7 @@ class Chart:
     """A figure on the page: its id in the data, heading, and description for screen readers.
 
     size: "wide" beside "narrow" fills a row, and so do two of "half". spatial: drawn in 3-D, left out in print.
+    drawing: SVG that stands in for it on paper.
     """
 
     key: str
@@ -37,6 +40,7 @@ class Chart:
     about: str
     size: str = "half"
     spatial: bool = False
+    drawing: Markup | None = None
 
 
 def place_section(
@@ -81,7 +85,7 @@ def place_section(
     truth = any(r.groundtruth is not None for r in runs)
     what = "Aligned trajectories and ground truth in space" if truth else "Trajectories in space"
     add("3d", "Trajectory", what, spatial, size="wide", spatial=True)
-    add("top", "From above", "The same trajectories seen from above", plan, size="narrow")
+    add("top", "From above", "The same trajectories seen from above", plan, size="narrow", drawing=plan_svg(plan))
     error = figures.error_figure(own, labels, colours, "translation")
     add("ate", "Position error over time", about, error, size="wide")
     turn = figures.error_figure(own, labels, colours, "rotation")

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from panobench.datasets.trajectory_io import write_tum
 from panobench.geometry import Sim3, so3_exp
 from panobench.report import figures
 from panobench.report.collect import collect, read_run
+from panobench.report.drawing import plan_svg
 from panobench.report.html import build_html
 from panobench.report.mapview import MOST, map_trace
 from panobench.report.variants import variants
@@ -124,3 +126,13 @@ def test_a_lost_path_and_a_far_map_do_not_shrink_the_plot(make_run):
     spatial, _ = figures.trajectory_figures([read_run(good), read_run(lost)], ["a", "b"], [0, 1])
     low, high = spatial["layout"]["scene"]["xaxis"]["range"]
     assert high - low < 8
+
+
+def test_paper_has_the_path_before_any_script_has_drawn_it(make_run):
+    _, plan = figures.trajectory_figures([read_run(make_run("a"))], ["a"], [3])
+    svg = plan_svg(plan)
+    assert svg.count("<polyline") == 2
+    assert 'data-colour="3"' in svg
+    numbers = [float(v) for v in re.findall(r"[\d.]+(?=[,\s\"])", svg.split('points="')[1].split('"')[0] + " ")]
+    assert min(numbers) >= 0
+    assert max(numbers) <= 320

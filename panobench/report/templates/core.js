@@ -38,6 +38,7 @@ PB.theme = (() => {
     document.documentElement.dataset.theme = dark ? "dark" : "light";
     PB.press(group, group.querySelector(`[data-theme="${choice}"]`));
     PB.all("[data-colour] > .swatch").forEach(s => { s.style.background = PB.swatch(s.parentNode); });
+    PB.all(".drawing [data-colour]").forEach(line => { line.style.stroke = PB.colour(Number(line.dataset.colour)); });
     PB.themeListeners.forEach(f => f());
   }
   let choice = stored();
