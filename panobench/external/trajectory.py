@@ -21,8 +21,9 @@ Kind = Literal["tum", "tum-ns", "kitti", "euroc", "csv"]
 class TrajectoryFormat:
     """The format of a program's trajectory.
 
-    kind: "tum"; "tum-ns", TUM with times in nanoseconds (ORB-SLAM3); "kitti", one pose per frame; "euroc", CSV with
-    times in nanoseconds and qw first, unless a header says otherwise; "csv", a table with a header. inverse: poses are
+    kind: "tum", times in seconds; "tum-ns", TUM with times in nanoseconds (ORB-SLAM3); "kitti", one pose per frame;
+    "euroc", CSV with times in nanoseconds and qw first, unless a header names the columns in another order; "csv", a
+    table with a header, whose times are in the unit it names, or else as far apart as samples are. inverse: poses are
     world-to-camera. time_offset: seconds to add to the times. T_body_camera: poses are of a body; the camera's pose is
     T_world_body T_body_camera. index_rate: times are frame index / rate, for programs that take no times.
     """
@@ -32,6 +33,10 @@ class TrajectoryFormat:
     time_offset: float = 0.0
     T_body_camera: NDArray[np.float64] | None = None
     index_rate: float | None = None
+
+
+#: Seconds in a unit of the times of the files that a program writes. A "csv" names its unit, or its times tell it.
+UNITS: dict[str, float | None] = {"tum": 1.0, "tum-ns": 1e-9, "euroc": 1e-9, "csv": None}
 
 
 def read_answer(path: Path, form: TrajectoryFormat, times: NDArray[np.float64]) -> Trajectory:
@@ -44,7 +49,10 @@ def read_answer(path: Path, form: TrajectoryFormat, times: NDArray[np.float64]) 
         raise DatasetError("the program wrote no such file", path)
     if not any(line and not line.startswith("#") for line in _first_lines(path)):
         return Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
-    found = io.read_kitti(path, times) if form.kind == "kitti" else io.READERS[form.kind](path)
+    if form.kind == "kitti":
+        found = io.read_kitti(path, times)
+    else:
+        found = io.READERS[form.kind](path, UNITS[form.kind])
     T = found.T_wc
     if form.inverse:
         T = invert_pose(T)
