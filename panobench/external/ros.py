@@ -99,6 +99,8 @@ def ros_environment(work: Path, port: int, inherit: bool) -> dict[str, str]:
         "ROS_HOSTNAME": "localhost",
         "ROS_HOME": str(work / "ros"),
         "ROS_LOG_DIR": str(work / "ros" / "log"),
+        # roslaunch's lines, buffered, would follow those of the nodes in the log.
+        "PYTHONUNBUFFERED": "1",
     }
 
 

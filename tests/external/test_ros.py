@@ -48,6 +48,7 @@ def test_each_run_has_a_master_of_its_own(tmp_path: Path, monkeypatch: pytest.Mo
         "ROS_HOSTNAME",
         "ROS_HOME",
         "ROS_LOG_DIR",
+        "PYTHONUNBUFFERED",
     }
     assert ros.free_port() != ros.free_port()
 
