@@ -173,7 +173,8 @@ def _text(value: Any) -> str:
 def _entry_lines(heading: str, text: str) -> list[str]:
     """A name and its text, wrapped between words below where the text began; one line for grep and other programs."""
     width = shutil.get_terminal_size().columns
-    for_people = sys.stdout.isatty() or "COLUMNS" in os.environ
+    # Python has no standard output at all where it was closed before the start.
+    for_people = (sys.stdout is not None and sys.stdout.isatty()) or "COLUMNS" in os.environ
     if not for_people or width - len(heading) < 30:  # as for options
         return [heading + text]
     indent = " " * len(heading)

@@ -88,7 +88,7 @@ class RoomSequence(FrameSequence):
         missing = [i for i in range(0, n, CHUNK) if not (self._folder / f"{i:06d}").is_dir()]
         if not missing:
             return
-        if self._progress is None and sys.stderr.isatty():
+        if self._progress is None and sys.stderr is not None and sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import track
 

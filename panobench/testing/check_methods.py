@@ -12,10 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from panobench.bench.config import override
 from panobench.cameras.base import Camera
 from panobench.datasets.base import FrameSequence
 from panobench.errors import PanobenchError
 from panobench.methods.base import BatchMethod, OnlineMethod
+from panobench.options import option_names
 from panobench.plugins import registry, same_contract
 from panobench.specs import CONTRACT_VERSION, CameraSpec, DepthSpec, MethodSpec, load_object
 from panobench.testing.check_cameras import example_camera
@@ -118,10 +120,10 @@ def _implementation(spec: MethodSpec, unavailable: str | None) -> str | None:
         return None
     config = load_object(spec.config, f"config of method '{spec.name}'")
     require(dataclasses.is_dataclass(config), f"{spec.config} is not a dataclass")
-    fields = {f.name for f in dataclasses.fields(config)}
+    known = set(option_names(config()))
     for preset, values in spec.presets.items():
-        require(set(values) <= fields, f"preset '{preset}' sets {sorted(set(values) - fields)}, not in {spec.config}")
-        config(**values)
+        require(set(values) <= known, f"preset '{preset}' sets {sorted(set(values) - known)}, not in {spec.config}")
+        override(config(), values, f"preset '{preset}'")
     config()
     return None
 

@@ -46,7 +46,7 @@ def test_a_study_runs_resumes_and_is_reported(tmp_path: Path, fake_plugin: Path,
     assert "<h1>Accuracy against field of view</h1>" in page
     assert "quick version" in page
     assert cli(["report", str(out), "-o", str(tmp_path / "r.csv")]) == 0
-    assert (tmp_path / "r.csv").read_text().startswith("table,origin,flags,Method,Camera,FoV")
+    assert (tmp_path / "r.fov.csv").read_text().startswith("table,origin,flags,label,Camera,FoV")
 
 
 def test_mistakes_are_one_line(tmp_path: Path, capsys) -> None:
