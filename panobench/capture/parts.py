@@ -29,7 +29,9 @@ FORMS: Mapping[str, Form] = {
     "stitch": Form("mm", 1e-3, 41, 0, 200),
     "lenses": Form("", 1, 0.3, 0, 2),
     "levelled": Form("", 1, 1, 1, 1),
+    "locked": Form("", 1, 1, 1, 1),
     "gait": Form("", 0.01, 100, 1, 400),
+    "tilt": Form("", 1, 15, 1, 60),
     "turn": Form("", 1, 200, 1, 720),
     "blur": Form("ms", 1e-3, 10, 0.1, 100),
     "h264": Form("", 1, 0.1, 0.005, 10),
@@ -50,7 +52,9 @@ class Parts:
     stitch:   metres between two lenses whose pictures are stitched for things two metres away. "stitch-41mm".
     lenses:   stops by which the lenses' exposures swing; their white balance differs by a third of it. "lenses-0.3".
     levelled: the picture is turned so that its vertical stays vertical. "levelled".
+    locked:   it is turned so that it looks in one direction all the time, too. "locked".
     gait:     how the camera sways with the steps, 1 for a brisk walk. "gait-100": per cent.
+    tilt:     how far the camera slowly tilts and rolls, degrees. "tilt-15".
     turn:     peak rate of a swing about the vertical, degrees per second. "turn-200".
     blur:     exposure time, seconds. "blur-10ms".
     h264, h265: bits per pixel the stream is compressed to. "h264-0.1".
@@ -64,7 +68,9 @@ class Parts:
     stitch: float = 0.0
     lenses: float = 0.0
     levelled: float = 0.0
+    locked: float = 0.0
     gait: float = 0.0
+    tilt: float = 0.0
     turn: float = 0.0
     blur: float = 0.0
     h264: float = 0.0
@@ -87,7 +93,7 @@ class Parts:
     @property
     def need_a_scene(self) -> list[str]:
         """Those that need poses between frames and depth, which only a rendered scene has."""
-        scene = ("walkers", "rolling", "stitch", "levelled", "gait", "turn", "blur")
+        scene = ("walkers", "rolling", "stitch", "levelled", "locked", "gait", "tilt", "turn", "blur")
         return [name for name in scene if getattr(self, name)]
 
 

@@ -154,7 +154,8 @@ class CapturedSequence(FrameSequence):
     @property
     def imu(self) -> Imu | None:
         """The source's; none when the camera moves otherwise than it did."""
-        return None if self.parts.gait or self.parts.turn or self.parts.levelled else self.source.imu
+        p = self.parts
+        return None if p.gait or p.tilt or p.turn or p.levelled or p.locked else self.source.imu
 
     def novel_views(self) -> list[NovelView]:
         return self.source.novel_views()

@@ -87,20 +87,27 @@ class RoomStudio:
     @cached_property
     def ride(self) -> Ride:
         p = self.parts
-        return Ride(self.times, self.scene.T_wc, mount=self.scene.mount, gait=p.gait, turn=p.turn, seed=p.seed)
+        return Ride(
+            self.times, self.scene.T_wc, mount=self.scene.mount, gait=p.gait, tilt=p.tilt, turn=p.turn, seed=p.seed
+        )
 
     @cached_property
     def T_wc(self) -> Array:
         """(N, 4, 4): where the picture's axes are at the middle of each frame."""
         T = np.stack([self.ride.pose(float(t)) for t in self.times])
-        for i in range(len(T) if self.parts.levelled else 0):
+        for i in range(len(T) if self._turned_picture else 0):
             T[i, :3, :3] = T[i, :3, :3] @ self._levelling(i)
         return T
 
+    @property
+    def _turned_picture(self) -> bool:
+        return bool(self.parts.levelled or self.parts.locked)
+
     def _levelling(self, index: int) -> Array:
-        T = self.ride.pose(float(self.times[index]))
         M = make_pose(self.scene.mount, np.zeros(3))
-        return np.asarray(M[:3, :3].T @ levelling(T @ M.T, np.array([0.0, 0.0, 1.0])) @ M[:3, :3])
+        T = self.ride.pose(float(self.times[index])) @ M.T
+        ahead = (self.ride.pose(float(self.times[0])) @ M.T)[:3, 2] if self.parts.locked else None
+        return np.asarray(M[:3, :3].T @ levelling(T, np.array([0.0, 0.0, 1.0]), ahead) @ M[:3, :3])
 
     @cached_property
     def _field(self) -> RayField:
@@ -133,7 +140,7 @@ class RoomStudio:
     def shoot(self, index: int) -> Shot:
         """A frame, exposed around ``times[index]``."""
         t = float(self.times[index])
-        field = self._field.turned(self._levelling(index)) if self.parts.levelled else self._field
+        field = self._field.turned(self._levelling(index)) if self._turned_picture else self._field
         rows = row_times(self.camera, field.rays) * self.parts.rolling if self.parts.rolling else None
         cast_of = Cast(self.scene.light(self.ride.pose(t)), self.walkers.solids(t) if self.walkers else None)
         moments = self._moments(t)

@@ -5,8 +5,9 @@ depths leads to. The rival is that the thing moves with the camera: it stays in 
 or it moves by itself, and then nothing fits better than chance. A direction votes between -1 (scene) and +1 (not), by
 the difference of the two costs over their sum; without texture both are small and it does not vote.
 
-With a pure translation what stays in the picture might be far away. It counts against the scene only as far as the
-corners around are near, and for less; and so does what stays for long (``lasting``).
+Where the best depth leads to where the thing would be if it stayed, the match says nothing for the scene. So what is
+far away and what moves with the camera look alike where the camera does not turn. Staying then counts against the
+scene only as far as the corners around are near, and for less; and so does staying for long (``lasting``).
 """
 
 from __future__ import annotations
@@ -54,6 +55,18 @@ class Small:
     half: Image
 
 
+@dataclass(frozen=True)
+class SceneMatch:
+    """Where the rigid scene fits best, all (H, W): the cost, the inverse depth, the least cost of depths that corners
+    around make likely (None: they don't say), and whether some depth leads out of the view.
+    """
+
+    cost: Image
+    inverse: Image
+    near: Image | None
+    unknown: NDArray[np.bool_]
+
+
 class Searcher:
     """Compares frames on a panorama ``width`` pixels wide."""
 
@@ -76,25 +89,28 @@ class Searcher:
         p = self.panorama
         turned = p.rays @ pair.R.T
         nearest_far = self._farthest(pair)
-        scene, near_scene, unknown = self._scene(a.full, b.full, turned, pair, nearest_far)
+        scene = self._scene(a.full, b.full, turned, pair, nearest_far)
         texture = self._wrong_match(a.full)
-        typical = float(np.median((scene / (texture + 0.02))[texture > 0.15])) if (texture > 0.15).any() else 0.0
+        textured = texture > 0.15
+        typical = float(np.median(scene.cost[textured] / (texture[textured] + 0.02))) if textured.any() else 0.0
         chance = max(CHANCE, CHANCE_OF_SCENE * typical) * texture
         # Where little of the view fits the motion, the motion or the pictures are doubtful.
         trust = float(np.clip((POOR - typical) / (POOR - GOOD), 0.1, 1.0))
         still = self._still(a.full, b.full)
-        swaying = np.minimum(np.minimum(still, self._swaying(a.half, b.half)), chance)
-        apart = np.arccos(np.clip(np.sum(p.rays * turned, axis=-1), -1, 1)) * p.pixels_per_radian
-        told_apart = np.clip(apart - 1.0, 0.0, 1.0)
-        vote = _vote(scene, swaying)
-        votes, weights = trust * told_apart * vote, trust * told_apart * np.abs(vote)
-        if near_scene is not None and nearest_far is not None:
+        vote = _vote(scene.cost, np.minimum(np.minimum(still, self._swaying(a.half, b.half)), chance))
+        # A match where the thing would be if it stayed says nothing for the scene.
+        there = turned + scene.inverse[..., None] * pair.t
+        cosine = np.sum(p.rays * there, axis=-1) / np.linalg.norm(there, axis=-1)
+        told_apart = np.clip(np.arccos(np.clip(cosine, -1, 1)) * p.pixels_per_radian - 1.0, 0.0, 1.0)
+        weight = trust * np.where(vote > 0, 1.0, told_apart)
+        votes, weights = weight * vote, weight * np.abs(vote)
+        if scene.near is not None and nearest_far is not None:
             parallax = np.linalg.norm(np.cross(turned, pair.t), axis=-1) * nearest_far * p.pixels_per_radian
             weight = trust * (1 - told_apart) * FAR_WEIGHT * np.clip(parallax - 1.5, 0.0, 1.0)
-            vote = _vote(near_scene, np.minimum(still, chance))
+            vote = _vote(scene.near, np.minimum(still, chance))
             votes, weights = votes + weight * vote, weights + weight * np.abs(vote)
         # What may have left the view need not be found.
-        doubtful = unknown & (votes > 0)
+        doubtful = scene.unknown & (votes > 0)
         return np.where(doubtful, 0.0, votes), np.where(doubtful, 0.0, weights)
 
     def lasting(self, a: Small, b: Small, headings: Sequence[Array]) -> tuple[Array, Array]:
@@ -115,33 +131,30 @@ class Searcher:
         vote = _vote(CHANCE * wrong, still)
         return weight * aside * vote, weight * aside * np.abs(vote)
 
-    def _scene(
-        self, a: Image, b: Image, turned: Array, pair: Pair, nearest_far: Image | None
-    ) -> tuple[Image, Image | None, NDArray[np.bool_]]:
-        """Least cost over all depths, and over those not beyond ``nearest_far`` (inverse depth per direction).
-
-        The third (H, W) says where some depth leads out of the view.
-        """
+    def _scene(self, a: Image, b: Image, turned: Array, pair: Pair, nearest_far: Image | None) -> SceneMatch:
         p = self.panorama
-        scene = np.full((p.height, p.width), np.inf, dtype=np.float32)
-        unknown = np.zeros(scene.shape, dtype=bool)
-        if not pair.t.any():
+        best = np.full((p.height, p.width), np.inf, dtype=np.float32)
+        inverse, unknown = np.zeros_like(best), np.zeros(best.shape, dtype=bool)
+        near = None if nearest_far is None else best.copy()
+        for depth in self._inverse_depths(pair):
+            along = turned + depth * pair.t
+            cost = p.difference(a, p.at(b, along))
             if self._seen is not None:
-                unknown = p.at(self._seen, turned) < 1
-            return p.difference(a, p.at(b, turned)), None, unknown
-        near = None if nearest_far is None else scene.copy()
+                unknown |= p.at(self._seen, along) < 1
+            better = cost < best
+            best[better], inverse[better] = cost[better], depth
+            if near is not None and nearest_far is not None:
+                near = np.where(depth >= 0.8 * nearest_far, np.minimum(near, cost), near)
+        return SceneMatch(best, inverse, near, unknown)
+
+    def _inverse_depths(self, pair: Pair) -> Array:
+        """From infinity to nearer than the nearest corners; infinity alone for a rotation."""
+        if not pair.t.any():
+            return np.zeros(1)
         known = pair.inverse[pair.inverse > 0]
         high = 1.5 * float(np.percentile(known, 98)) if len(known) else 1.0
-        count = int(np.clip(np.ceil(high * p.pixels_per_radian / STEP), FEWEST_DEPTHS, MOST_DEPTHS))
-        for inverse in np.linspace(0.0, high, count + 1):
-            seen_along = turned + inverse * pair.t
-            cost = p.difference(a, p.at(b, seen_along))
-            if self._seen is not None:
-                unknown |= p.at(self._seen, seen_along) < 1
-            np.minimum(scene, cost, out=scene)
-            if near is not None and nearest_far is not None:
-                near = np.where(inverse >= 0.8 * nearest_far, np.minimum(near, cost), near)
-        return scene, near, unknown
+        count = int(np.clip(np.ceil(high * self.panorama.pixels_per_radian / STEP), FEWEST_DEPTHS, MOST_DEPTHS))
+        return np.linspace(0.0, high, count + 1)
 
     def _still(self, a: Image, b: Image) -> Image:
         """Least cost of staying in place, within a pixel."""

@@ -139,8 +139,8 @@ def follow(face_set: FaceSet, before: Faces, now: Faces, bearings: Array) -> tup
         p = bearings[mine] @ face_set.R_fc[k].T
         pixels = np.column_stack([fx * p[:, 0] / p[:, 2] + cx - 0.5, fy * p[:, 1] / p[:, 2] + cy - 0.5])
         start = pixels.astype(np.float32)[:, None]
-        end, there, _ = cv2.calcOpticalFlowPyrLK(before[k], now[k], start, None, **_LK)  # type: ignore[call-overload]
-        back, again, _ = cv2.calcOpticalFlowPyrLK(now[k], before[k], end, None, **_LK)  # type: ignore[call-overload]
+        end, there, _ = cv2.calcOpticalFlowPyrLK(before[k], now[k], start, start.copy(), **_LK)
+        back, again, _ = cv2.calcOpticalFlowPyrLK(now[k], before[k], end, start.copy(), **_LK)
         q = end[:, 0].astype(np.float64)
         inside = (q > 3).all(axis=1) & (q[:, 0] < width - 4) & (q[:, 1] < height - 4)
         same = np.linalg.norm(back - start, axis=2)[:, 0] < 0.7

@@ -17,7 +17,7 @@ PRIOR = 0.6
 #: A region goes as far as evidence above LOW and has some above HIGH.
 LOW, HIGH = 0.05, 0.3
 #: Share of the sphere of strong evidence below which a region is chance, and of the largest hole that is filled.
-LEAST_SEED, LARGEST_HOLE = 4e-4, 0.02
+LEAST_SEED, LARGEST_HOLE = 2e-3, 0.02
 #: Gaps up to this many pixels of the panorama are closed; what is found is widened by so many.
 CLOSE, WIDEN = 3, 1
 

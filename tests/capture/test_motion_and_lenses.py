@@ -48,6 +48,16 @@ def test_a_levelled_picture_is_upright_and_keeps_its_yaw() -> None:
     assert np.allclose(level[:, 1], -up)
     forward = T[:3, :3] @ [0, 0, 1]
     assert np.arctan2(level[0, 2], level[2, 2]) == pytest.approx(np.arctan2(forward[0], forward[2]), abs=0.05)
+    locked = T[:3, :3] @ levelling(T, up, np.array([1.0, 0.3, 0.0]))
+    assert np.allclose(locked[:, 1], -up)
+    assert np.allclose(locked[:, 2], [1, 0, 0])
+
+
+def test_a_tilting_camera_reaches_its_angle_and_keeps_its_yaw() -> None:
+    still = np.repeat(np.eye(4)[None], 12, axis=0)
+    ride = Ride(np.linspace(0, 20, 12), still, tilt=20)
+    down = np.stack([ride.pose(t)[:3, 1] for t in np.linspace(0, 20, 300)])
+    assert 19 < np.degrees(np.arccos(down[:, 1])).max() < 30
 
 
 def test_two_lenses_share_the_sphere_and_agree_at_the_distance_they_are_stitched_for() -> None:

@@ -43,7 +43,9 @@ def scores(sequence: CapturedSequence, found: MaskEstimate) -> tuple[float, floa
     return float(recall), float((area * (~found.valid & ~true.any(axis=0))).sum())
 
 
-@pytest.mark.parametrize("name", ["tiny+operator-15", "tiny+operator-5+seed-1", "tiny+car-20"])
+@pytest.mark.parametrize(
+    "name", ["tiny+operator-15", "tiny+operator-5+seed-1", "tiny+car-20", "tiny+operator-15+tilt-15+locked"]
+)
 def test_whoever_carries_the_camera_is_hidden(name: str) -> None:
     sequence = walk(name)
     assert isinstance(sequence, CapturedSequence)
