@@ -23,6 +23,9 @@ class Observer:
     def warn(self, text: str) -> None:
         """Something that the user should know while the run goes on."""
 
+    def found(self, dataset: str, what: str) -> None:
+        """No dataset was named: the data are ``what``, and read as ``dataset``."""
+
     def interrupted(self) -> None:
         """The first Ctrl-C: the run stops after this frame and finishes. Called from the signal's handler."""
 

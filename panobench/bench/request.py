@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
+from panobench.datasets.given import Given
 from panobench.errors import UnknownNameError, UsageError
 
 T = TypeVar("T")
@@ -118,6 +120,17 @@ class RunRequest:
         separates=False,
         suite_key=True,
     )
+    rate: float | None = run_option(
+        None, "Images a second, for images that do not say when they were taken.", changes_input=True, label=None
+    )
+    calibration: str | None = run_option(
+        None,
+        "What took images or a bag's topic: a calibration file, FILE#CAMERA for one of several.",
+        changes_input=True,
+        label=None,
+    )
+    topic: str | None = run_option(None, "Topic of a bag's images.", changes_input=True, label=None)
+    imu_topic: str | None = run_option(None, "Topic of a bag's IMU.", changes_input=True, label=None)
     groundtruth: str | None = run_option(
         None,
         "True poses: a trajectory's file (TUM, KITTI, COLMAP, transforms.json, ...) in place of the dataset's own.",
@@ -195,12 +208,30 @@ class RunRequest:
     )
 
     def __post_init__(self) -> None:
+        self.given()  # its options are checked
         for option in run_options(type(self)):
             option.check(getattr(self, option.name))
         if self.holdout == 1:
             raise UsageError("--holdout 1: every frame would be held out and nothing mapped; use 2 or more")
         if self.dataset == DEFAULT_DATASET and self.sequence is None:
             object.__setattr__(self, "sequence", DEFAULT_SEQUENCE)
+
+    def resolved(self) -> tuple[RunRequest, str]:
+        """The request with the dataset that reads its root, where it names no dataset, and what was found, in words.
+
+        "" if there was nothing to find. Raises DatasetError for a root that no dataset reads.
+        """
+        if self.root is None or self.dataset != DEFAULT_DATASET:
+            return self, ""
+        from panobench.datasets.guess import guess
+
+        found = guess(Path(self.root).expanduser())
+        sequence = None if self.sequence == DEFAULT_SEQUENCE else self.sequence
+        return replace(self, dataset=found.dataset, root=str(found.root), sequence=sequence), found.what
+
+    def given(self) -> Given:
+        """The options that go to the dataset. Raises UsageError for one that makes no sense."""
+        return Given(self.rate, self.calibration, self.topic, self.imu_topic)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name."""

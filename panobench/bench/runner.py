@@ -79,6 +79,9 @@ def execute(
     Raises PanobenchError for what the user can mend (names, options, data); nothing is written then.
     """
     observer = observer or Observer()
+    request, found = request.resolved()
+    if found:
+        observer.found(request.dataset, found)
     target = out or default_folder(request)
     check_free(target, force)
     observer.stage("setting up")

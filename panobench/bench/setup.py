@@ -119,7 +119,7 @@ def open_source(request: RunRequest, width: int | None) -> FrameSequence:
     """The dataset's own sequence at ``width``."""
     from panobench.datasets.open import open_sequence
 
-    sequence = open_sequence(request.dataset, request.sequence, request.root, width)
+    sequence = open_sequence(request.dataset, request.sequence, request.root, width, request.given())
     if request.groundtruth is None:
         return sequence
     from panobench.trajectories.matching import Frames

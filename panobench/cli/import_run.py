@@ -130,6 +130,7 @@ def score_import(
     check_free(target, force)
     method = ImportedTrajectory(trajectory, options)
     if against is None:
+        request, _ = request.resolved()
         sequence = open_input(request)
         method.frames = Frames.of(sequence)
     else:

@@ -92,6 +92,9 @@ class ProgressBar(Observer):
             if stage.name in _WITHOUT_FRAMES:
                 self._progress.update(self._task, since=f"{clock.monotonic() - stage.began:.0f} s")
 
+    def found(self, dataset: str, what: str) -> None:
+        self._console.print(f"{what}: --dataset {dataset}", markup=False, highlight=False, soft_wrap=True)
+
     def interrupted(self) -> None:
         """Past Python's buffers, which the signal may have found in use."""
         line = "panobench: finishing with the frames there are; once more keeps their poses and drops the map"

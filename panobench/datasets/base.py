@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.datasets.given import Given
 from panobench.types import Frame, Imu, NovelView, Trajectory
 
 
@@ -87,9 +88,14 @@ Sequence = FrameSequence
 
 
 class Dataset(ABC):
-    """A dataset below ``root``; None for a generator."""
+    """A dataset below ``root``; None for a generator.
+
+    takes: names of the options in ``Given`` that it has a use for; ``open_dataset`` puts what was given into ``given``.
+    """
 
     name: ClassVar[str]
+    takes: ClassVar[frozenset[str]] = frozenset()
+    given: Given = Given()
 
     def __init__(self, root: Path | None = None) -> None:
         self.root = root

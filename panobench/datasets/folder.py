@@ -94,7 +94,11 @@ class Folder(Dataset):
             return [root.resolve().name]
         names = find_sequences(root)
         if not names:
-            raise DatasetError("no panobench sequence here: frames.csv, camera.yaml and images/ are expected", root)
+            raise DatasetError(
+                "no panobench sequence here: frames.csv, camera.yaml and images/ are expected; a folder of images is "
+                "read without --dataset, or with --dataset images",
+                root,
+            )
         return names
 
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:

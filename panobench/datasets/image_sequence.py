@@ -33,6 +33,7 @@ class ImageSource:
     times: NDArray[np.float64]
     images: list[Path]
     groundtruth: Trajectory | None = None
+    groundtruth_scaled: bool = True
     imu: Imu | None = None
     depth: Mapping[int, Path] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
@@ -118,6 +119,10 @@ class ImageSequence(FrameSequence):
     @property
     def groundtruth(self) -> Trajectory | None:
         return self.source.groundtruth
+
+    @property
+    def groundtruth_scaled(self) -> bool:
+        return self.source.groundtruth_scaled
 
     @property
     def imu(self) -> Imu | None:

@@ -30,6 +30,28 @@ DATASETS: tuple[DatasetSpec, ...] = (
         camera="erp",
     ),
     DatasetSpec(
+        "images",
+        "a folder of panoramas, or of images with a calibration",
+        "panobench.datasets.image_folder:ImageFolder",
+        publisher="you",
+        layout="FOLDER/*.jpg, FOLDER/images/*.jpg or FOLDER/NAME/*.jpg; times from times.txt, names, EXIF or --rate; "
+        "2:1 panoramas, or --calibration FILE; optional mask.png",
+    ),
+    DatasetSpec(
+        "colmap",
+        "a COLMAP project: images, camera and poses (without scale)",
+        "panobench.datasets.reconstructions:ColmapProject",
+        publisher="you",
+        layout="PROJECT/images/ and PROJECT/sparse/0/{cameras,images}.{bin,txt}",
+    ),
+    DatasetSpec(
+        "nerfstudio",
+        "a project of nerfstudio or instant-ngp: images, camera and poses (without scale)",
+        "panobench.datasets.reconstructions:NerfstudioProject",
+        publisher="you",
+        layout="PROJECT/transforms.json and the images it names",
+    ),
+    DatasetSpec(
         "palvio",
         "panoramic annular camera, IMU and motion capture on a drone (LF-VIO)",
         "panobench.datasets.palvio:Palvio",

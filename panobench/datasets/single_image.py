@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.datasets.base import FrameSequence
+from panobench.datasets.guess import guess
 from panobench.datasets.images import IMAGE_SUFFIXES, read_image, read_size
-from panobench.datasets.listing import children
 from panobench.datasets.open import open_sequence
-from panobench.datasets.video import VIDEO_SUFFIXES
 from panobench.errors import DatasetError, UnknownNameError, UsageError
 
 _SIMPLE = ("erp", "pal", "cubemap", "pinhole:DEGREES", "fisheye:DEGREES")
@@ -95,48 +94,6 @@ def _from_angle(model: str, argument: str, size: tuple[int, int]) -> Camera:
     return KannalaBrandtCamera.equidistant(width, angle)
 
 
-#: What only one layout has, in a sequence's folder or one above it.
-_MARKS = {
-    "mav0": "tum-vi",
-    "*/mav0": "tum-vi",
-    "camera_pose.json": "360loc",
-    "*/*/*/camera_pose.json": "360loc",
-    "transform.json": "omniblender",
-    "*/transform.json": "omniblender",
-    "Egocentric/cameras": "omniblender",
-    "*/Egocentric/cameras": "omniblender",
-}
-
-
-def _guess_video(path: Path) -> str:
-    """Footage of two lenses has their calibration beside it."""
-    both = path.with_name(f"{path.stem}.dual.yaml").is_file() or path.with_name("dual_fisheye.yaml").is_file()
-    return "insta360-dual-fisheye" if both else "video"
-
-
-def guess_dataset(path: Path) -> str:
-    """The name of the dataset whose adapter reads ``path``. Raises DatasetError if there is none."""
-    if path.is_file():
-        if path.suffix.lower() in VIDEO_SUFFIXES:
-            return _guess_video(path)
-        if path.suffix == ".bag":
-            return "palvio"
-    elif path.is_dir():
-        if (path / "frames.csv").is_file() or any(path.glob("*/frames.csv")):
-            return "folder"
-        if (path / "groundtruth.txt").is_file() or any(path.glob("*/groundtruth.txt")):
-            return "synpano"
-        if any(path.glob("*.bag")):
-            return "palvio"
-        for pattern, dataset in _MARKS.items():
-            if any(path.glob(pattern)):
-                return dataset
-        videos = [p for p in children(path) if p.suffix.lower() in VIDEO_SUFFIXES]
-        if videos:
-            return _guess_video(videos[0])
-    raise DatasetError("neither an image nor a sequence that is recognised; name its --dataset", path)
-
-
 def open_anything(
     path: Path, camera: str | None = None, dataset: str | None = None, sequence: str | None = None
 ) -> FrameSequence:
@@ -147,4 +104,7 @@ def open_anything(
         return SingleImage(path, camera_of_image(camera, read_size(path), path))
     if camera is not None:
         raise UsageError("--camera is for single images; a sequence has its own camera")
-    return open_sequence(dataset or guess_dataset(path), sequence, path)
+    if dataset is not None:
+        return open_sequence(dataset, sequence, path)
+    found = guess(path)
+    return open_sequence(found.dataset, sequence, found.root)

@@ -132,7 +132,11 @@ def scene_names(root: Path, dataset: str) -> list[str]:
         return [root.resolve().name]
     names = [p.name for p in children(root) if p.is_dir() and is_scene(p)]
     if not names:
-        raise DatasetError(f"no {dataset} scene here: neither images/ nor a sub-folder that has images/", root)
+        raise DatasetError(
+            f"no {dataset} scene here: neither images/ nor a sub-folder that has images/; a folder of images is read "
+            "without --dataset, or with --dataset images",
+            root,
+        )
     return names
 
 

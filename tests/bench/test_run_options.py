@@ -69,7 +69,7 @@ def test_every_option_says_what_it_is() -> None:
     assert [o.name for o in run_options() if not o.separates] == ["root", "check", "seed"]
     inputs = {o.name for o in run_options() if o.changes_input}
     images = {"camera", "dataset", "sequence", "root", "fov", "width", "every", "max_frames"}
-    assert inputs == {*images, "groundtruth", "groundtruth_scale"}
+    assert inputs == {*images, "groundtruth", "groundtruth_scale", "rate", "calibration", "topic", "imu_topic"}
 
 
 @dataclass(frozen=True)

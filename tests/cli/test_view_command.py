@@ -14,9 +14,9 @@ import pytest
 from panobench.bench.map_views import MapSequence
 from panobench.cameras.erp import ErpCamera
 from panobench.cli.main import run
+from panobench.datasets.guess import guess
 from panobench.datasets.images import decode_image, read_image
 from panobench.datasets.look_around import look_around_page
-from panobench.datasets.single_image import guess_dataset
 from panobench.datasets.trajectory_io import write_tum
 from panobench.geometry import directions_from_lonlat
 from panobench.splat.ply import write_ply
@@ -96,7 +96,7 @@ def test_layouts_are_recognised(tmp_path: Path, file: str, dataset: str) -> None
     (root / file).parent.mkdir(parents=True)
     (root / file).write_text("")
     (root / "walk.mp4").write_text("")
-    assert guess_dataset(root) == dataset
+    assert guess(root).dataset == dataset
 
 
 def test_a_narrow_camera_gets_no_page(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_a_cubemap_as_a_panorama(tmp_path: Path) -> None:
         (("photo.png", "--camera", "pal"), "the calibration is for 60x45 images, these are 60x40"),
         (("room.png", "--as", "pinhle"), "did you mean 'pinhole'"),
         (("room.png", "--as", ","), "--as is empty"),
-        (("notes.md",), "neither an image nor a sequence"),
+        (("notes.md",), "nothing here that is read"),
         (("broken.png",), "truncated"),
         (("photo.png", "--camera", "pinhole:60", "--as", "pinhole:back"), "sees nothing"),
         (("walk.mp4", "--camera", "erp"), "--camera is for single images"),

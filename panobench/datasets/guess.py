@@ -1,0 +1,138 @@
+"""What a path holds, and which dataset reads it: for `--root` alone, `panobench view` and `panobench probe`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from panobench.datasets.archive import is_archive, unpacked
+from panobench.datasets.folder import find_sequences, is_sequence
+from panobench.datasets.image_folder import image_folders
+from panobench.datasets.images import IMAGE_SUFFIXES, list_images
+from panobench.datasets.listing import children, visible
+from panobench.datasets.reconstructions import TRANSFORMS, colmap_model
+from panobench.datasets.video import VIDEO_SUFFIXES
+from panobench.errors import DatasetError
+
+#: Endings of bags; a ROS 2 bag may be a folder of .db3 or .mcap files.
+BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+
+
+@dataclass(frozen=True)
+class Guess:
+    """The dataset that reads ``root``, and what that is in words: "a folder of 24 images".
+
+    root: of an archive, the folder that it was unpacked to.
+    """
+
+    dataset: str
+    root: Path
+    what: str
+
+
+def guess(path: Path) -> Guess:
+    """What is at ``path``. Raises DatasetError that says what is read, if it is nothing of that."""
+    if not path.exists():
+        raise DatasetError("no such file or folder", path)
+    if is_archive(path):
+        folder = unpacked(path)
+        found = guess(folder)
+        return Guess(found.dataset, found.root, f"an archive, unpacked to {folder}: {found.what}")
+    looks = _FILE_LOOKS if path.is_file() else _FOLDER_LOOKS
+    for look in looks:
+        answer = look(path)
+        if answer is not None:
+            return Guess(answer[0], path, answer[1])
+    raise DatasetError(
+        "nothing here that is read: images, a video, a bag, a COLMAP or nerfstudio project, an archive of such or a "
+        "data set (`panobench list datasets`); name its --dataset",
+        path,
+    )
+
+
+Answer = tuple[str, str] | None
+
+
+def _video_file(path: Path) -> Answer:
+    return _video(path, "a video") if path.suffix.lower() in VIDEO_SUFFIXES else None
+
+
+def _video(path: Path, what: str) -> Answer:
+    """Footage of two lenses has their calibration beside it."""
+    both = path.with_name(f"{path.stem}.dual.yaml").is_file() or path.with_name("dual_fisheye.yaml").is_file()
+    return ("insta360-dual-fisheye", f"{what} of two fisheye lenses") if both else ("video", what)
+
+
+def _bag_file(path: Path) -> Answer:
+    return _bag(path, "a bag") if path.suffix.lower() in BAG_SUFFIXES else None
+
+
+def _bag(path: Path, what: str) -> Answer:
+    return "palvio", what
+
+
+def _transforms_file(path: Path) -> Answer:
+    return ("nerfstudio", "a project of nerfstudio") if path.name in TRANSFORMS else None
+
+
+def _image_file(path: Path) -> Answer:
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        raise DatasetError("this is one image; name the folder of all, or look at it with `panobench view`", path)
+    return None
+
+
+def _panobench(path: Path) -> Answer:
+    if is_sequence(path) and (path / "frames.csv").is_file():
+        return "folder", "a panobench sequence"
+    found = [name for name in find_sequences(path, levels=2) if (path / name / "frames.csv").is_file()]
+    return ("folder", f"{len(found)} panobench sequences") if found else None
+
+
+def _pattern(dataset: str, what: str, *patterns: str) -> Callable[[Path], Answer]:
+    def look(path: Path) -> Answer:
+        found = any(visible(p) for pattern in patterns for p in path.glob(pattern))
+        return (dataset, what) if found else None
+
+    return look
+
+
+def _bags(path: Path) -> Answer:
+    bags = [p for p in children(path) if p.suffix.lower() in BAG_SUFFIXES and p.is_file()]
+    return _bag(path, f"{len(bags)} bags" if len(bags) > 1 else "a bag") if bags else None
+
+
+def _colmap(path: Path) -> Answer:
+    return ("colmap", "a COLMAP project") if colmap_model(path) is not None else None
+
+
+def _videos(path: Path) -> Answer:
+    videos = [p for p in children(path) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()]
+    return _video(videos[0], "a video" if len(videos) == 1 else f"{len(videos)} videos") if videos else None
+
+
+def _images(path: Path) -> Answer:
+    found = image_folders(path)
+    if not found:
+        return None
+    count = len(list_images(next(iter(found.values()))))
+    if len(found) == 1:
+        return "images", f"a folder of {count} images"
+    return "images", f"{len(found)} folders of images"
+
+
+_FILE_LOOKS = (_video_file, _bag_file, _transforms_file, _image_file)
+#: In this order: layouts that describe themselves before those that are recognised by what is in them.
+_FOLDER_LOOKS = (
+    _panobench,
+    _pattern("synpano", "a SynPano scene", "groundtruth.txt", "*/groundtruth.txt"),
+    _bags,
+    _pattern("tum-vi", "a recording in TUM-VI's layout", "mav0", "*/mav0"),
+    _pattern("360loc", "360Loc", "camera_pose.json", "*/*/*/camera_pose.json"),
+    _pattern("omniblender", "a scene of OmniBlender", "transform.json", "*/transform.json"),
+    _pattern("omniblender", "a scene of OB3D", "Egocentric/cameras", "*/Egocentric/cameras"),
+    _pattern("nerfstudio", "a project of nerfstudio", *TRANSFORMS),
+    _colmap,
+    _videos,
+    _images,
+)

@@ -1,0 +1,131 @@
+"""A folder of images, without anything that describes it: panoramas, or what a given calibration took.
+
+``ROOT/*.jpg``, ``ROOT/images/*.jpg``, or several folders of images below ROOT, which are its sequences. Times: see
+``image_times``. The camera: ``--calibration``, else a calibration file beside the images, else a full panorama.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from panobench.cameras.base import Camera
+from panobench.cameras.calibration import inspect_calibration, split_choice
+from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
+from panobench.datasets.image_times import image_times
+from panobench.datasets.images import list_images, read_mask
+from panobench.datasets.listing import children, one_of_each
+from panobench.datasets.locate import choose_sequence
+from panobench.datasets.synpano import panorama_camera
+from panobench.errors import CalibrationError, DatasetError
+
+#: Calibration files that are looked for beside images, without their endings.
+_NAMES = ("camera", "calibration", "calib", "camera_info", "intrinsics")
+MASK = "mask.png"
+_ENDINGS = (".yaml", ".yml", ".xml", ".json", ".txt")
+
+
+class ImageFolder(Dataset):
+    """Images below ``root``; ``--rate`` and ``--calibration`` say what the files do not."""
+
+    name = "images"
+    takes = frozenset({"rate", "calibration"})
+
+    def _found(self) -> dict[str, Path]:
+        if self.root is None:
+            raise DatasetError("dataset 'images' needs --root FOLDER")
+        found = image_folders(self.root)
+        if not found:
+            raise DatasetError("no images here, nor in a folder below", self.root)
+        return found
+
+    def sequences(self) -> list[str]:
+        return list(self._found())
+
+    def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
+        found = self._found()
+        name = choose_sequence(self.name, sequence, found)
+        return ImageSequence(self._read(found[name], name), width)
+
+    def _read(self, folder: Path, name: str) -> ImageSource:
+        images = [path for path in list_images(folder) if path.name.lower() != MASK]
+        taken = image_times(one_of_each(images), self.given.rate)
+        size = check_sizes(taken.images)
+        camera, inputs, said = camera_of(taken.images[0], size, self.given.calibration)
+        mask = next((p for p in (folder / MASK, folder.parent / MASK) if p.is_file()), None)
+        if mask is not None:
+            hidden = read_mask(mask, size)
+            camera = camera.with_mask(hidden if camera.mask is None else hidden & camera.mask)
+            inputs = (*inputs, mask)
+        remarks = [taken.source] if taken.assumed else [f"times are from {taken.source}"]
+        return ImageSource(
+            dataset=self.name,
+            name=name,
+            root=folder,
+            native=camera,
+            times=taken.times,
+            images=taken.images,
+            inputs=(*taken.inputs, *inputs),
+            notes={"times": taken.source},
+            remarks=(*remarks, *said),
+        )
+
+
+def image_folders(root: Path, levels: int = 2) -> dict[str, Path]:
+    """Sequence name -> folder with images: ``root`` itself, its ``images``, or folders below."""
+    if not root.is_dir():
+        raise DatasetError("a folder of images is expected, this is a file", root)
+    if not os.access(root, os.R_OK | os.X_OK):
+        return {}
+    name = root.resolve().name or "images"
+    if list_images(root):
+        return {name: root}
+    if list_images(root / "images"):
+        return {name: root / "images"}
+    found: dict[str, Path] = {}
+    for child in children(root):
+        if child.is_dir() and levels > 0:
+            below = image_folders(child, levels - 1)
+            for inner, folder in below.items():
+                found[inner if folder in (child, child / "images") else f"{child.name}/{inner}"] = folder
+    return found
+
+
+def camera_of(
+    image: Path, size: tuple[int, int], calibration: str | None
+) -> tuple[Camera, tuple[Path, ...], tuple[str, ...]]:
+    """What took images of ``size`` (w, h), the files that say so, and a remark."""
+    remark: tuple[str, ...] = ()
+    if calibration is None:
+        beside = [p for p in _beside(image.parent) if p.is_file()]
+        if not beside:
+            return _panorama(size, image), (), ()
+        calibration = str(beside[0])
+        remark = (f"the camera is from {beside[0].name}, which lies beside the images",)
+    path, _ = split_choice(calibration)
+    return for_size(inspect_calibration(calibration).camera, size, path), (path,), remark
+
+
+def _beside(folder: Path) -> list[Path]:
+    return [place / f"{name}{ending}" for place in (folder, folder.parent) for name in _NAMES for ending in _ENDINGS]
+
+
+def _panorama(size: tuple[int, int], image: Path) -> Camera:
+    try:
+        return panorama_camera(size, image)
+    except (CalibrationError, DatasetError) as error:
+        raise DatasetError(f"{error}. If a lens took it, say which: --calibration FILE") from None
+
+
+def for_size(camera: Camera, size: tuple[int, int], path: Path) -> Camera:
+    """A camera for images of ``size``: itself, or scaled where they were only resized. Raises CalibrationError."""
+    if (camera.width, camera.height) == size:
+        return camera
+    if abs(camera.width * size[1] - camera.height * size[0]) <= max(camera.width, camera.height):
+        scaled = camera.scaled(size[0])
+        if (scaled.width, scaled.height) == size:
+            return scaled
+    raise CalibrationError(
+        f"the calibration is for {camera.width}x{camera.height} images, these are {size[0]}x{size[1]}", path
+    )
