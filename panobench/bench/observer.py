@@ -29,6 +29,9 @@ class Observer:
     def interrupted(self) -> None:
         """The first Ctrl-C: the run stops after this frame and finishes. Called from the signal's handler."""
 
+    def compiling(self, done: int, total: int) -> None:
+        """So many of the kernels that are not compiled yet are now; first none. Nothing is timed yet."""
+
     def started(self, total: int, truth: Trajectory | None) -> None:
         """Tracking begins; ``truth`` is for showing the error so far."""
 

@@ -91,7 +91,8 @@ class SpecRecord(JsonRecord):
     def variants(self) -> dict[str, str]:
         """The options that may tell apart runs of one method on one sequence, as text; only those that were given."""
         values = {option.name: self.option(option.name) for option in run_options() if option.label is not None}
-        return {name: value_text(value) for name, value in values.items() if value not in (None, "", {}, [])}
+        given = {k: v for k, v in values.items() if v is not False and v not in (None, "", {}, [])}
+        return {name: value_text(value) for name, value in given.items()}
 
 
 @dataclass
@@ -114,6 +115,8 @@ class TimingRecord(JsonRecord):
     tracking_fps: float | None = None
     latency_p50_s: float | None = None
     latency_p95_s: float | None = None
+    prepare_s: float | None = None
+    late_compile_s: float | None = None
     start_s: float | None = None
     finish_s: float | None = None
     wall_s: float | None = None
@@ -167,6 +170,27 @@ class MaskRecord(JsonRecord):
     hidden: float = 0.0
     seconds: float | None = optional()
     details: dict[str, Any] | None = optional()
+
+
+@dataclass
+class TruthRecord(JsonRecord):
+    """Ground truth and the frames it belongs to.
+
+    frames: how many of the frames planned have a true pose. span_s: first and last time of the truth as recorded;
+    frames_span_s: of the frames. time_offset_s: what was added to the truth's times; offset_within_s: offsets this far
+    away fit the motion nearly as well.
+    """
+
+    frames: int = 0
+    span_s: list[float] | None = None
+    frames_span_s: list[float] | None = None
+    time_offset_s: float | None = optional()
+    offset_within_s: float | None = optional()
+
+    def __post_init__(self) -> None:
+        for name in ("span_s", "frames_span_s"):
+            if len(getattr(self, name) or ()) != 2:
+                setattr(self, name, None)
 
 
 @dataclass
@@ -246,8 +270,8 @@ class RunRecord(JsonRecord):
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
     metric: the method says that its scale is metres. notes: metric -> why it is None or odd. keyframes: frame indices.
     mask: what hid part of the view, if anything did.
-    groundtruth: whether there was any; groundtruth_scaled: in metres.
-    verdict: None for runs stored before there were verdicts.
+    groundtruth: whether a frame has any; groundtruth_scaled: in metres.
+    truth, verdict: None for runs stored before there were such.
     remarks: what the dataset says about its data. extra: what the method reports.
     isolation: what the process that watched the run measured.
     """
@@ -269,6 +293,7 @@ class RunRecord(JsonRecord):
     mask: MaskRecord | None = optional()
     groundtruth: bool = False
     groundtruth_scaled: bool = True
+    truth: TruthRecord | None = optional()
     remarks: list[str] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)
     provenance: ProvenanceRecord = field(default_factory=ProvenanceRecord)

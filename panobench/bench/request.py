@@ -27,8 +27,8 @@ class RunOption:
 
     help:          one line for the command line.
     changes_input: the sequence given to a method (images, times, truth) depends on it.
-    label:         how labels say a value that tells two runs apart, "{} px"; None for what is no variant of a run:
-                   the method, where and on what it ran, the seed.
+    label:         how labels say a value that tells two runs apart, "{} px"; the words for a switch that is on; None
+                   for what is no variant of a run: the method, where and on what it ran, the seed.
     separates:     runs that differ in it are never taken for repeats of each other, nor compared.
     suite_key:     suite files have a key of its own for it; the others stand under ``options``, and studies take them.
     minimum:       the least whole number allowed.
@@ -203,6 +203,12 @@ class RunRequest:
         minimum=0,
         always_said=True,
     )
+    align_time: bool = run_option(
+        False,
+        "Look for a constant offset between the clocks of ground truth and frames in the motion, and apply it.",
+        changes_input=True,
+        label="clocks aligned",
+    )
     settings: Mapping[str, Any] = run_option(
         {}, "One option of the method; repeatable.", changes_input=False, label="{}", suite_key=True, flag="--set"
     )
@@ -253,6 +259,9 @@ class RunRequest:
         for option in run_options(type(self)):
             value = getattr(self, option.name)
             if value in (None, "") or (value == option.default and not option.always_said):
+                continue
+            if option.type is bool:
+                words.append(option.flag)
                 continue
             given = [f"{k}={_word(v)}" for k, v in value.items()] if isinstance(value, Mapping) else [str(value)]
             for text in given:

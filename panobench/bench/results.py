@@ -27,8 +27,10 @@ from panobench.bench.request import RunRequest
 from panobench.bench.runfolder import FRAMES, GROUNDTRUTH, MAP, RENDERS, TRAJECTORY, write_frames
 from panobench.bench.setup import RunSetup
 from panobench.bench.tracking import Tracked, frame_indices
+from panobench.bench.truth import clock_remark, truth_record
 from panobench.errors import PanobenchError
 from panobench.metrics.base import PROTOCOL_VERSION
+from panobench.metrics.clock import ClockOffset
 from panobench.types import DepthEstimate
 
 
@@ -40,8 +42,12 @@ def run_record(
     scores: Scores,
     timing: TimingRecord,
     origin: ProvenanceRecord,
+    offset: ClockOffset | None = None,
 ) -> RunRecord:
-    """What is known of a run (the map's entry is added when the map is written)."""
+    """What is known of a run (the map's entry is added when the map is written).
+
+    ``offset``: of the clocks, if it was looked for, found and applied to ``setup``.
+    """
     estimate, sequence = tracked.estimate, setup.sequence
     assert estimate is not None
     used_depth = setup.depth is not None and (setup.depth.made > 0 or setup.depth.chosen)
@@ -78,7 +84,8 @@ def run_record(
         depth=_depth_record(setup, estimate.depth),
         groundtruth=sequence.groundtruth is not None,
         groundtruth_scaled=sequence.groundtruth_scaled,
-        remarks=sequence.remarks(),
+        truth=truth_record(sequence, offset),
+        remarks=[*sequence.remarks(), *clock_remark(request.align_time, offset)],
         extra=dict(estimate.extra),
         provenance=replace(origin, dataset=sequence.provenance(), command=shlex.join(request.command())),
     )

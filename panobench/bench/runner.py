@@ -28,7 +28,9 @@ from panobench.bench.results import run_record, timing_record, write_run
 from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
 from panobench.bench.setup import RunSetup, oracle_depth, set_up_run
 from panobench.bench.tracking import Pose, Tracked, track_batch, track_online
+from panobench.bench.truth import align_clocks
 from panobench.bench.views import held_out
+from panobench.kernels.watch import CompileWatch
 from panobench.methods.base import BatchMethod, MethodContext
 from panobench.metrics.base import MetricInput
 from panobench.plugins import PluginWarning, registry
@@ -85,7 +87,7 @@ def execute(
     target = out or default_folder(request)
     check_free(target, force)
     observer.stage("setting up")
-    setup = set_up_run(request)
+    setup = set_up_run(request, observer.compiling)
     with KeepWriting() as keep, PendingRun(target, force) as pending:
         with (pending.path / LOG).open("w", **TEXT) as file:
             record = _run(request, setup, pending.path, RunLog(file, observer.log), observer, keep, cell)
@@ -116,20 +118,28 @@ def _run(
     _seed(request.seed)
     if kernel_cache.note():
         log(str(kernel_cache.note()))
+    kernels = setup.kernels
+    log(f"{kernels.loaded} kernels loaded in {kernels.seconds:.1f} s, {kernels.compiled} of them compiled")
     keep.begin()
-    with Meter() as meter:
+    with Meter() as meter, CompileWatch() as watch:
         tracked = _track(request, setup, folder, frozenset(holdout), log, observer)
         cpu_s = meter.cpu_s
     if tracked.failure:
         log(tracked.failure)
+    offset = None
+    if request.align_time:
+        setup, offset = align_clocks(setup, tracked, log)
     with keep.interruptible():
         scores = _score(setup, tracked, holdout, folder / RENDERS, log, observer)
     log(f"{scores.status.value}: {scores.message}" if scores.message else scores.status.value)
     timing = timing_record(tracked, scores.evaluation_s)
     timing.peak_rss_bytes, timing.cpu_s = meter.peak_rss_bytes, cpu_s
-    record = run_record(request, setup, tracked, holdout, scores, timing, origin)
+    timing.prepare_s, timing.late_compile_s = kernels.seconds + tracked.warm_up_s, watch.seconds
+    record = run_record(request, setup, tracked, holdout, scores, timing, origin, offset)
     record.cell = cell
     record.mask = mask
+    if watch.note():
+        record.remarks.append(str(watch.note()))
     record.verdict = _verdict(request, setup, tracked, scores, folder, log, observer)
     log(f"verdict: {record.verdict.word} ({record.verdict.confidence:.2f})")
     for remark in record.remarks:

@@ -17,6 +17,7 @@ from panobench.bench.views import ChosenFrames
 from panobench.datasets.base import FrameSequence
 from panobench.depth.base import DepthEstimator
 from panobench.errors import UnavailableError, UnsupportedError, UsageError
+from panobench.kernels.ahead import Prepared, Progress, compile_ahead, entry_points
 from panobench.methods.base import BatchMethod, OnlineMethod
 from panobench.plugins import registry
 from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec
@@ -55,13 +56,16 @@ class RunSetup:
     sequence: ChosenFrames
     depth: DepthChoice | None
     mask: MaskChoice = field(default_factory=MaskChoice)
+    kernels: Prepared = field(default_factory=Prepared)
 
 
-def set_up_run(request: RunRequest) -> RunSetup:
-    """Make everything that ``request`` names.
+def set_up_run(request: RunRequest, progress: Progress = lambda done, total: None) -> RunSetup:
+    """Make everything that ``request`` names, kernels included; ``progress`` is told when those have to be compiled.
 
     Raises UnknownNameError, UsageError, UnsupportedError, UnavailableError or DatasetError.
     """
+    from panobench.cameras.calibration import calibration_file
+
     spec = method_spec(request)
     config = method_config(spec, request.preset, request.settings)
     depth = open_depth(request.depth)
@@ -70,6 +74,8 @@ def set_up_run(request: RunRequest) -> RunSetup:
     method = cls(config) if spec.config is not None else cls()
     if not isinstance(method, (OnlineMethod, BatchMethod)):
         raise UnsupportedError(f"method '{spec.name}' is neither an OnlineMethod nor a BatchMethod")
+    kind = None if calibration_file(request.camera) else request.camera.partition(":")[0]
+    kernels = compile_ahead(entry_points(spec.name, kind, request.dataset), progress)
     sequence = open_input(request, spec)
     if "imu" in spec.needs and sequence.imu is None:
         raise UnsupportedError(f"method '{spec.name}' needs an IMU; sequence '{sequence.name}' has none")
@@ -77,7 +83,7 @@ def set_up_run(request: RunRequest) -> RunSetup:
     if "poses" in spec.needs and sequence.groundtruth is None and not own_poses:
         raise UnsupportedError(f"method '{spec.name}' needs given poses; sequence '{sequence.name}' has none")
     origin = registry().entries[MethodSpec.kind][spec.name].origin
-    return RunSetup(spec, origin, method, config, sequence, depth, mask)
+    return RunSetup(spec, origin, method, config, sequence, depth, mask, kernels)
 
 
 def method_spec(request: RunRequest) -> MethodSpec:
@@ -126,7 +132,8 @@ def open_source(request: RunRequest, width: int | None) -> FrameSequence:
     from panobench.trajectories.reference import ReferencedSequence, read_reference
 
     file = Path(request.groundtruth).expanduser()
-    return ReferencedSequence(sequence, read_reference(file, Frames.of(sequence), scale=request.groundtruth_scale))
+    reference = read_reference(file, Frames.of(sequence), scale=request.groundtruth_scale, any_clock=request.align_time)
+    return ReferencedSequence(sequence, reference)
 
 
 def _through_camera(request: RunRequest) -> FrameSequence:

@@ -30,7 +30,7 @@ class Tracked:
     """What a method returned. Status OK means that it went through; whether it tracked enough is judged later.
 
     given: frames handed over. latency: seconds per frame given (batch: the whole run divided by the frames).
-    live: poses as ``track`` returned them. start_s, finish_s: seconds in ``start`` and ``finish``.
+    live: poses as ``track`` returned them. warm_up_s, start_s, finish_s: seconds in the methods of these names.
     wall_s: seconds from before ``start`` to after ``finish``, with reading images.
     """
 
@@ -41,6 +41,7 @@ class Tracked:
     given: int = 0
     latency: list[float] = field(default_factory=list)
     live: dict[int, Pose] = field(default_factory=dict)
+    warm_up_s: float = 0.0
     start_s: float = 0.0
     finish_s: float = 0.0
     wall_s: float = 0.0
@@ -59,9 +60,13 @@ def track_online(
     result = Tracked()
     read = FrameReader(sequence)
     begin = time.perf_counter()
-    where = "start()"
+    where = "warm_up()"
     with InterruptRequest(tell=observer.interrupted) as stop:
         try:
+            method.warm_up(sequence.camera)
+            result.warm_up_s = time.perf_counter() - begin
+            begin = time.perf_counter()
+            where = "start()"
             method.start(sequence.camera, context)
             result.start_s = time.perf_counter() - begin
             for index in range(len(sequence)):
@@ -112,10 +117,14 @@ def track_batch(
     """Run a batch method. Errors are treated as in ``track_online``."""
     result = Tracked()
     blind = MethodSequence(sequence, holdout, context.imu)
-    where, busy = "set_up()", 0.0
+    where, busy = "warm_up()", 0.0
     begin = time.perf_counter()
     with InterruptRequest(at_once=True):
         try:
+            method.warm_up(sequence.camera)
+            result.warm_up_s = time.perf_counter() - begin
+            begin = time.perf_counter()
+            where = "set_up()"
             method.set_up(blind, context)
             result.start_s = time.perf_counter() - begin
             where = "run()"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from copy import copy
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets.base import FrameSequence
+from panobench.datasets.truth import truth_remarks
 from panobench.errors import DatasetError
 from panobench.types import Frame, Imu, NovelView, Trajectory
 
@@ -20,6 +22,8 @@ class ChosenFrames(FrameSequence):
         if len(inner) == 0:
             raise DatasetError(f"sequence '{inner.name}' has no frames")
         self._inner = inner
+        self._truth: tuple[Trajectory | None] | None = None
+        self._recorded: Trajectory | None = None
         self._index = np.arange(0, len(inner), every)[:max_frames]
         self.name, self.dataset, self.camera = inner.name, inner.dataset, inner.camera
         self.times = np.asarray(inner.times, dtype=np.float64)[self._index]
@@ -49,9 +53,19 @@ class ChosenFrames(FrameSequence):
     def depth(self, index: int) -> NDArray[np.float32] | None:
         return self._inner.depth(self.original(index))
 
+    def with_truth(self, truth: Trajectory | None, recorded: Trajectory | None) -> ChosenFrames:
+        """The same frames with another ground truth."""
+        changed = copy(self)
+        changed._truth, changed._recorded = (truth,), recorded
+        return changed
+
+    @property
+    def recorded_truth(self) -> Trajectory | None:
+        return self._inner.recorded_truth if self._recorded is None else self._recorded
+
     @property
     def groundtruth(self) -> Trajectory | None:
-        truth = self._inner.groundtruth
+        truth = self._inner.groundtruth if self._truth is None else self._truth[0]
         if truth is None:
             return None
         truth = truth.select(np.flatnonzero(np.isin(truth.times, self.times)))
@@ -69,7 +83,7 @@ class ChosenFrames(FrameSequence):
         return self._inner.novel_views()
 
     def remarks(self) -> list[str]:
-        return self._inner.remarks()
+        return [*self._inner.remarks(), *truth_remarks(self)]
 
     def provenance(self) -> dict[str, Any]:
         return self._inner.provenance()

@@ -118,6 +118,7 @@ def score_import(
     from panobench.bench.runner import RunLog, default_folder
     from panobench.bench.setup import RunSetup, open_input
     from panobench.bench.tracking import track_batch
+    from panobench.bench.truth import align_clocks
     from panobench.bench.views import held_out
     from panobench.external.imported import ImportedTrajectory
     from panobench.methods.base import MethodContext
@@ -147,8 +148,11 @@ def score_import(
         with (pending.path / LOG).open("w", **TEXT) as file:
             log = RunLog(file)
             log(f"{trajectory}: {placed.counts()}; {len(placed.index)} of {len(sequence)} frames have one")
+            offset = None
+            if request.align_time:
+                setup, offset = align_clocks(setup, tracked, log)
             data = MetricInput(
-                sequence,
+                setup.sequence,
                 tracked.estimate,
                 frames=list(range(len(sequence))),
                 holdout=holdout,
@@ -158,7 +162,7 @@ def score_import(
             )
             scores = evaluate(data, tracked.status, tracked.message, log)
             timing = TimingRecord(evaluation_s=scores.evaluation_s)  # nothing else was timed here
-            record = run_record(request, setup, tracked, holdout, scores, timing, provenance())
+            record = run_record(request, setup, tracked, holdout, scores, timing, provenance(), offset)
             _mark(record, trajectory, options, placed)
             write_run(pending.path, record, setup, tracked, holdout)
         return pending.publish()

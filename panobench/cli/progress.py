@@ -108,6 +108,15 @@ class ProgressBar(Observer):
     def warn(self, text: str) -> None:
         self._console.print(f"warning: {text}", markup=False, highlight=False, soft_wrap=True)
 
+    def compiling(self, done: int, total: int) -> None:
+        """Says so on a terminal or not: it takes up to a minute, once."""
+        if done == 0:
+            line = f"compiling {total} kernels, once for this version of panobench and this machine"
+            self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+        self.stage("compiling kernels")
+        finished = done == total
+        self._progress.update(self._task, total=None if finished else total, completed=0 if finished else done)
+
     def started(self, total: int, truth: Trajectory | None) -> None:
         self._progress.update(self._task, total=total)
         if truth is not None:

@@ -137,6 +137,8 @@ def summary(folder: Path, record: RunRecord) -> str:
 
     frames = record.frames
     lines = [f"{record.status}  {folder}", f"{'tracked':18}{tracked_text(frames)}"]
+    if record.truth is not None:
+        lines.append(f"{'ground truth':18}{record.truth.frames} of {frames.planned or frames.given} frames")
     for label, key, factor, form in _LINES:
         value = record.number(key)
         if value is not None:

@@ -49,7 +49,8 @@ def _parameter(option: RunOption, help: str) -> inspect.Parameter:
         return inspect.Parameter(
             option.name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[list[str] | None, about]
         )
-    about = typer.Option(option.flag, help=help)
+    flag = f"{option.flag}/--no-{option.flag[2:]}" if option.type is bool else option.flag
+    about = typer.Option(flag, help=help)
     return inspect.Parameter(
         option.name,
         inspect.Parameter.KEYWORD_ONLY,

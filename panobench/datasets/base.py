@@ -53,6 +53,11 @@ class FrameSequence(ABC):
         return True
 
     @property
+    def recorded_truth(self) -> Trajectory | None:
+        """The ground truth as recorded, camera-to-world, with stamps of its own; None where it has those of frames."""
+        return None
+
+    @property
     def imu(self) -> Imu | None:
         """Inertial samples and the camera's pose in their axes, or None."""
         return None

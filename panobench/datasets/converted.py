@@ -56,6 +56,11 @@ class ConvertedSequence(FrameSequence):
         return self.source.groundtruth_scaled
 
     @property
+    def recorded_truth(self) -> Trajectory | None:
+        truth = self.source.recorded_truth
+        return None if truth is None else Trajectory(truth.times, self.reprojector.poses(truth.T_wc))
+
+    @property
     def imu(self) -> Imu | None:
         imu = self.source.imu
         return None if imu is None else seen_from(imu, self.reprojector)

@@ -65,6 +65,11 @@ class DisturbedSequence(FrameSequence):
         return self._groundtruth
 
     @property
+    def recorded_truth(self) -> Trajectory | None:
+        """The source's; none when the camera is turned, for the turn is known at the frames alone."""
+        return None if self._disturb.chosen.yaw else self.source.recorded_truth
+
+    @property
     def imu(self) -> Imu | None:
         """The source's; none when the camera is turned, for the body does not turn with it."""
         return None if self._disturb.chosen.yaw else self.source.imu

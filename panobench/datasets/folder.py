@@ -30,13 +30,11 @@ from panobench.datasets.trajectory_io import (
     read_rows,
     read_tum,
 )
-from panobench.datasets.trajectory_match import match_to_times
+from panobench.datasets.truth import truth_at_frames
 from panobench.errors import DatasetError
 from panobench.reading import inside, number_array, parse_json, read_text
-from panobench.types import Imu, NovelView, Trajectory
+from panobench.types import Imu, NovelView
 
-#: A ground-truth row belongs to the frame whose time differs by at most this, seconds.
-TIME_TOLERANCE_S = 1e-3
 #: meta.json lists a checksum for every file.
 MAX_META_BYTES = 256 << 20
 
@@ -47,14 +45,6 @@ def read_imu_csv(path: Path) -> Imu:
     Raises DatasetError with file:line.
     """
     return read_imu_table(path, exact=True)
-
-
-def groundtruth_at(path: Path, times: np.ndarray, tolerance: float = TIME_TOLERANCE_S) -> Trajectory:
-    """The poses in a TUM file that belong to frames at ``times``. Raises DatasetError if there is none."""
-    truth = match_to_times(read_tum(path), times, tolerance)
-    if not len(truth):
-        raise DatasetError(f"no pose lies within {tolerance:g} s of a frame", path)
-    return truth
 
 
 def is_sequence(folder: Path) -> bool:
@@ -124,6 +114,7 @@ def _read(folder: Path, name: str) -> ImageSource:
         if file is not None:
             depth_files[index] = file
     meta = _read_meta(folder / "meta.json")
+    recorded = read_tum(truth_path) if truth_path.is_file() else None
     return ImageSource(
         dataset="folder",
         name=name,
@@ -131,7 +122,8 @@ def _read(folder: Path, name: str) -> ImageSource:
         native=camera,
         times=times,
         images=images,
-        groundtruth=groundtruth_at(truth_path, times) if truth_path.is_file() else None,
+        groundtruth=None if recorded is None else truth_at_frames(recorded, times),
+        recorded_truth=recorded,
         imu=_read_imu(imu_path, calibration, meta) if imu_path.is_file() else None,
         depth=depth_files,
         inputs=(*inputs, *(p for p in (mask_path, truth_path, imu_path) if p.is_file())),

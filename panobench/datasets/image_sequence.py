@@ -34,6 +34,7 @@ class ImageSource:
     images: list[Path]
     groundtruth: Trajectory | None = None
     groundtruth_scaled: bool = True
+    recorded_truth: Trajectory | None = None
     imu: Imu | None = None
     depth: Mapping[int, Path] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
@@ -123,6 +124,10 @@ class ImageSequence(FrameSequence):
     @property
     def groundtruth_scaled(self) -> bool:
         return self.source.groundtruth_scaled
+
+    @property
+    def recorded_truth(self) -> Trajectory | None:
+        return self.source.recorded_truth
 
     @property
     def imu(self) -> Imu | None:

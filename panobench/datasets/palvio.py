@@ -26,7 +26,7 @@ from panobench.datasets.locate import choose_sequence
 from panobench.datasets.palvio_calibration import PalvioCalibration, find_calibration
 from panobench.datasets.palvio_mounting import mounted_by_gravity
 from panobench.datasets.trajectory_io import check_times, read_tum
-from panobench.datasets.trajectory_match import interpolate_poses
+from panobench.datasets.truth import truth_at_frames
 from panobench.errors import DatasetError
 from panobench.geometry import make_pose, matrix_from_quaternion
 from panobench.types import Imu, Trajectory
@@ -34,18 +34,15 @@ from panobench.types import Imu, Trajectory
 IMAGE = "sensor_msgs/msg/Image"
 IMU = "sensor_msgs/msg/Imu"
 ODOMETRY = "nav_msgs/msg/Odometry"
-#: Poses are not interpolated across a longer gap in the motion capture, seconds.
-MAX_GAP_S = 0.1
 
 
 def _stamp(message: Any) -> float:
     return float(message.header.stamp.sec) + 1e-9 * float(message.header.stamp.nanosec)
 
 
-def camera_truth(body: Trajectory, times: NDArray[np.float64], calibration: PalvioCalibration) -> Trajectory | None:
-    """Camera poses at those of ``times`` that the motion capture (body poses) covers; None if it covers none."""
-    found = interpolate_poses(Trajectory(body.times, body.T_wc @ calibration.body_T_cam), times, max_gap=MAX_GAP_S)
-    return found if len(found) else None
+def camera_truth(body: Trajectory, calibration: PalvioCalibration) -> Trajectory:
+    """Camera poses at the times of the motion capture, which has the body's."""
+    return Trajectory(body.times, body.T_wc @ calibration.body_T_cam)
 
 
 class PalvioBagSequence(FrameSequence):
@@ -62,7 +59,8 @@ class PalvioBagSequence(FrameSequence):
         self._where, self.times = contents.where, contents.times
         self._dropped = contents.dropped
         self._imu = None if contents.imu is None else _mounted(contents.imu, calibration)
-        self._groundtruth = None if contents.body is None else camera_truth(contents.body, self.times, calibration)
+        self._recorded = None if contents.body is None else camera_truth(contents.body, calibration)
+        self._groundtruth = None if self._recorded is None else truth_at_frames(self._recorded, self.times)
         self.camera = scaled_camera(calibration.camera, width)
 
     def image(self, index: int) -> NDArray[np.uint8]:
@@ -75,6 +73,10 @@ class PalvioBagSequence(FrameSequence):
     @property
     def groundtruth(self) -> Trajectory | None:
         return self._groundtruth
+
+    @property
+    def recorded_truth(self) -> Trajectory | None:
+        return self._recorded
 
     @property
     def imu(self) -> Imu | None:
@@ -272,6 +274,7 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
     calibration, remarks = mounted_by_gravity(calibration, imu)
     if imu is not None:
         imu = _mounted(replace(imu, times=imu.times - calibration.time_offset_s), calibration)
+    recorded = camera_truth(read_tum(truth_path), calibration) if truth_path.is_file() else None
     return ImageSource(
         dataset="palvio",
         name=name,
@@ -279,7 +282,8 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
         native=calibration.camera,
         times=times,
         images=[images[i] for i in order],
-        groundtruth=camera_truth(read_tum(truth_path), times, calibration) if truth_path.is_file() else None,
+        groundtruth=None if recorded is None else truth_at_frames(recorded, times),
+        recorded_truth=recorded,
         imu=imu,
         inputs=tuple(p for p in (truth_path, imu_path) if p.is_file()),
         notes=_notes(calibration),

@@ -22,14 +22,12 @@ from panobench.datasets.imu_table import read_imu_table
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.natural import natural_paths
 from panobench.datasets.trajectory_io import check_times, parse_floats, read_euroc_csv, read_rows
-from panobench.datasets.trajectory_match import interpolate_poses
+from panobench.datasets.truth import truth_at_frames
 from panobench.errors import CalibrationError, DatasetError
 from panobench.types import Imu, Trajectory
 
 _CALIBRATIONS = ("dso/camchain.yaml", "camchain.yaml", "mav0/camchain.yaml", "camera.yaml")
 _TRUTHS = ("mav0/mocap0/data.csv", "mav0/state_groundtruth_estimate0/data.csv")
-#: Poses are not interpolated across a longer gap in the motion capture, seconds.
-MAX_GAP_S = 0.1
 
 
 class TumVi(Dataset):
@@ -66,6 +64,7 @@ def _read(folder: Path, name: str) -> ImageSource:
     truth_path = next((folder / p for p in _TRUTHS if (folder / p).is_file()), None)
     imu_path = folder / "mav0/imu0/data.csv"
     imu = _read_imu(imu_path, calibration) if imu_path.is_file() else None
+    recorded = None if truth_path is None else _camera_truth(truth_path, calibration, calibration_path)
     inputs = [p for p in (calibration_path, truth_path, imu_path) if p is not None and p.is_file()]
     return ImageSource(
         dataset="tum-vi",
@@ -74,7 +73,8 @@ def _read(folder: Path, name: str) -> ImageSource:
         native=native,
         times=times,
         images=images,
-        groundtruth=None if truth_path is None else _camera_truth(truth_path, times, calibration, calibration_path),
+        groundtruth=None if recorded is None else truth_at_frames(recorded, times),
+        recorded_truth=recorded,
         imu=imu,
         inputs=tuple(inputs),
         notes={"evaluated_frame": "camera 0", "calibration_notes": calibration.notes},
@@ -113,11 +113,11 @@ def _read_imu(path: Path, calibration: Calibration) -> Imu:
     return replace(imu, times=imu.times - (calibration.time_offset_s or 0.0), T_body_cam=calibration.body_T_cam)
 
 
-def _camera_truth(path: Path, times: NDArray[np.float64], calibration: Calibration, source: Path) -> Trajectory | None:
+def _camera_truth(path: Path, calibration: Calibration, source: Path) -> Trajectory:
+    """The camera's poses as recorded: the body's, with the camera's place on it."""
     if calibration.body_T_cam is None:
         raise CalibrationError(
             "the camera's place on the IMU (T_cam_imu) is missing; the ground truth needs it", source
         )
     body = read_euroc_csv(path)
-    found = interpolate_poses(Trajectory(body.times, body.T_wc @ calibration.body_T_cam), times, max_gap=MAX_GAP_S)
-    return found if len(found) else None
+    return Trajectory(body.times, body.T_wc @ calibration.body_T_cam)

@@ -62,6 +62,12 @@ class OnlineMethod(ABC):
     def __init__(self, config: Any = None) -> None:
         self.config = config
 
+    def warm_up(self, camera: Camera) -> None:
+        """Called once before ``start``, and not timed: for what has nothing to do with the frames, such as compiling or
+        loading code for the kind of ``camera``. Must not change any result.
+        """
+        return None
+
     @abstractmethod
     def start(self, camera: Camera, context: MethodContext) -> None:
         """Called once before the first frame; ``camera`` is one of the kinds its spec accepts."""
@@ -98,6 +104,10 @@ class BatchMethod(ABC):
 
     def __init__(self, config: Any = None) -> None:
         self.config = config
+
+    def warm_up(self, camera: Camera) -> None:
+        """As ``OnlineMethod.warm_up``."""
+        return None
 
     def set_up(self, sequence: FrameSequence, context: MethodContext) -> None:
         """Called once before ``run``, and timed apart: for what is made once and kept for later runs."""

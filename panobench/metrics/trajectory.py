@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3, umeyama
-from panobench.metrics.alignment import Matched, match, moves
+from panobench.metrics.alignment import SAME_TIME_S, Matched, match, moves
 from panobench.metrics.base import MetricInput
 from panobench.types import Trajectory
 
@@ -40,17 +41,20 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
     explained = _explained_rotation(matched, aligned, ate)
     if explained:
         data.notes["ate_rotation_rmse_deg"] = explained
+    segments = consecutive(matched.truth.times, np.asarray(data.sequence.times))
+    if not segments:
+        data.notes["rpe_trans_rmse_m"] = "no two consecutive frames have both a pose and ground truth"
     values["scale"] = aligned.transform.scale
     if data.keyframes_only:
         values["ate_keyframes_rmse_m"] = ate if scaled else None
         data.notes["ate_rmse_m"] = "the trajectory has keyframes alone: ate_keyframes_rmse_m is their error"
         return values
-    values["rpe_rotation_rmse_deg"] = _rpe(aligned, "rotation_angle_deg")
+    values["rpe_rotation_rmse_deg"] = _rpe(aligned, segments, "rotation_angle_deg")
     if not scaled:
         data.notes["ate_rmse_m"] = "the ground truth has no scale: ate_percent is the error in percent of its path"
         return values
     values["ate_rmse_m"] = ate
-    values["rpe_trans_rmse_m"] = _rpe(aligned, "translation_part")
+    values["rpe_trans_rmse_m"] = _rpe(aligned, segments, "translation_part")
     if estimate.metric and how == "sim3" and (rigid := align(matched, "se3")) is not None:
         values["ate_se3_rmse_m"] = _ape(rigid, "translation_part")
     keyframes = _keyframes(matched, data)
@@ -125,13 +129,26 @@ def _ape(aligned: Aligned, relation: str) -> float:
     return float(_errors(aligned, relation).get_statistic(metrics.StatisticsType.rmse))
 
 
-def _rpe(aligned: Aligned, relation: str) -> float:
-    """Between consecutive tracked frames."""
+def _rpe(aligned: Aligned, segments: list[NDArray[np.intp]], relation: str) -> float | None:
+    """evo's relative error from each frame to the next, over stretches of consecutive frames; None without a pair."""
     from evo.core import metrics
 
-    rpe = metrics.RPE(metrics.PoseRelation[relation], delta=1, delta_unit=metrics.Unit.frames, all_pairs=True)
-    rpe.process_data((aligned.truth, aligned.estimate))
-    return float(rpe.get_statistic(metrics.StatisticsType.rmse))
+    errors = []
+    for segment in segments:
+        truth, estimate = deepcopy(aligned.truth), deepcopy(aligned.estimate)
+        truth.reduce_to_ids(segment)
+        estimate.reduce_to_ids(segment)
+        rpe = metrics.RPE(metrics.PoseRelation[relation], delta=1, delta_unit=metrics.Unit.frames, all_pairs=True)
+        rpe.process_data((truth, estimate))
+        errors.append(np.asarray(rpe.error))
+    return float(np.sqrt((np.concatenate(errors) ** 2).mean())) if errors else None
+
+
+def consecutive(times: NDArray[np.float64], frame_times: NDArray[np.float64]) -> list[NDArray[np.intp]]:
+    """Indices into ``times`` (N,), each that of a frame, as stretches of two and more frames that follow each other."""
+    frames = np.searchsorted(frame_times, times - SAME_TIME_S)
+    parts = np.split(np.arange(len(times)), np.flatnonzero(np.diff(frames) != 1) + 1)
+    return [part for part in parts if len(part) > 1]
 
 
 def _explained_rotation(matched: Matched, aligned: Aligned, ate: float) -> str | None:

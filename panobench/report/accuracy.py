@@ -77,11 +77,24 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
         notes = (*notes, f"The mean is over {names}: {where}." if common else f"No mean: there is no sequence {where}.")
     if len(judged) < len(cells):
         notes = (*notes, "Methods that were given the poses show them again: they are not ranked.")
+    notes = (*notes, *_truth_notes([r for runs in here.values() for r in runs]))
     if any(p.differs for p in order):
         notes = (*notes, "† differs significantly from the first method (see the ranking rule).")
     return Table(
         f"ate-{dataset}", f"Trajectory accuracy, {dataset}", caption, tuple(columns), tuple(rows), notes, below
     )
+
+
+def _truth_notes(runs: Sequence[Run]) -> list[str]:
+    """What the errors leave out: frames without ground truth; and clocks that were aligned."""
+    found: dict[str, None] = {}
+    for run in sorted(runs, key=lambda r: natural(r.sequence)):
+        truth, planned = run.record.truth, run.record.frames.planned
+        if truth is not None and planned and truth.frames < planned:
+            found[f"{run.sequence}: ground truth for {truth.frames} of {planned} frames."] = None
+        if truth is not None and truth.time_offset_s is not None:
+            found[f"{run.sequence}: ground truth moved by {truth.time_offset_s:+.4f} s to fit the motion."] = None
+    return list(found)
 
 
 def ate_cell(runs: Sequence[Run], unit: str, scale: float) -> Cell:

@@ -75,6 +75,9 @@ def run_tiles(run: Run) -> list[Tile]:
         share = run.number("ate_percent")
         note = f"{kind}, {share:.2f}% of the path" if share is not None else kind
         out.append(Tile("ATE RMSE", length_text(ate * 1e3, "mm"), "mm", note))
+    truth, planned = run.record.truth, run.record.frames.planned
+    if truth is not None and planned and truth.frames < planned:
+        out.append(Tile("Ground truth", str(truth.frames), "frames", f"of {planned}: the others do not count"))
     if tracked is not None:
         frames = len(run.frames.get("index", run.frames.get("frame", ())))
         out.append(Tile("Tracked", f"{100 * tracked:.0f}", "%", f"of {frames} frames" if frames else "of the frames"))
@@ -95,16 +98,32 @@ def measurements(run: Run) -> list[tuple[str, list[tuple[str, str]]]]:
     out = []
     for heading, quantities in (("Accuracy", (ate, *ACCURACY)), ("Rendering", RENDERING), ("Cost", COST)):
         pairs = []
+        if heading == "Accuracy" and run.record.truth is not None:
+            pairs.append(("Ground truth", _truth_text(run)))
         for quantity in quantities:
             value = run.number(quantity.key)
             note = run.record.notes.get(quantity.key)
             if value is not None:
-                pairs.append((quantity.label, f"{quantity.text(value)} {quantity.unit}".strip()))
+                words = f"{quantity.text(value)} {quantity.unit}".strip()
+                pairs.append((quantity.label, f"{words} ({note})" if note else words))
             elif note:
                 pairs.append((quantity.label, f"n/a: {note.removeprefix('n/a: ')}"))
         if pairs:
             out.append((heading, pairs))
     return out
+
+
+def _truth_text(run: Run) -> str:
+    """For how many frames there was truth; where it was in time, if not for all."""
+    truth, planned = run.record.truth, run.record.frames.planned
+    assert truth is not None
+    words = f"{truth.frames} of {planned if planned is not None else 'the'} frames"
+    if truth.frames != planned and truth.span_s and truth.frames_span_s:
+        (a, b), (c, d) = truth.span_s, truth.frames_span_s
+        words += f"; it spans {a:.3f} to {b:.3f} s, the frames {c:.3f} to {d:.3f} s"
+    if truth.time_offset_s is not None:
+        words += f"; its times were moved by {truth.time_offset_s:+.4f} s"
+    return words
 
 
 def facts(collection: Collection, now: datetime) -> list[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,37 +13,43 @@ from panobench.cameras.base import Camera
 from panobench.cameras.views import rotated_poses
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.checksums import known_sha256
-from panobench.datasets.trajectory_match import interpolate_poses, match_to_times, nearest
+from panobench.datasets.trajectory_match import nearest
+from panobench.datasets.truth import MAX_GAP_S, truth_at_frames
 from panobench.errors import InputError, UsageError
-from panobench.trajectories.matching import Frames, place, tolerance
+from panobench.trajectories.matching import Frames, place
 from panobench.trajectories.posed import PoseList
 from panobench.trajectories.reading import read_poses
 from panobench.types import Imu, NovelView, Trajectory
 
-#: Poses are interpolated to frames between them up to this distance, as motion capture is.
-MAX_GAP_S = 0.1
-#: A pose this near a frame's time is that frame's.
-SAME_FRAME_S = 1e-3
 SCALES = ("metres", "none")
 
 
 @dataclass(frozen=True)
 class Reference:
-    """True poses of (some) frames. scaled: in metres; otherwise errors are shares of the path."""
+    """True poses of (some) frames. scaled: in metres; otherwise errors are shares of the path. recorded: the poses with
+    stamps of their own, of which the others were made.
+    """
 
     path: Path
     trajectory: Trajectory
     scaled: bool
     remarks: tuple[str, ...] = ()
+    recorded: Trajectory | None = None
 
 
 def read_reference(
-    path: Path, frames: Frames, *, scale: str | None = None, unit: str | None = None, inverse: bool = False
+    path: Path,
+    frames: Frames,
+    *,
+    scale: str | None = None,
+    unit: str | None = None,
+    inverse: bool = False,
+    any_clock: bool = False,
 ) -> Reference:
     """Poses at the frames' times: those of the image name or frame number, by time interpolated to the frames.
 
     scale: "metres", "none" or None for what the format says. unit: what its times count; see ``read_poses``.
-    Raises UsageError, DatasetError or InputError.
+    any_clock: its times need not be those of the frames. Raises UsageError, DatasetError or InputError.
     """
     found = read_poses(path, unit=unit)
     if inverse:
@@ -52,12 +58,13 @@ def read_reference(
     if found.times is None:
         placed = place(found, frames, path)
         return Reference(path, placed.trajectory, scaled, placed.remarks)
-    truth = at_times(found.trajectory(), frames.times)
-    if len(truth) < 0.5 * min(len(found), len(frames)):
+    recorded = found.trajectory()
+    truth = at_times(recorded, frames.times)
+    if len(truth) < 0.5 * min(len(found), len(frames)) and not any_clock:
         place(found, frames, path)  # says what the times may be
-    if not len(truth):
+    if not len(truth) and not any_clock:
         raise InputError(f"no frame lies between two of its poses within {MAX_GAP_S:g} s", path)
-    return Reference(path, truth, scaled)
+    return Reference(path, truth, scaled, recorded=recorded)
 
 
 def scaled_as(scale: str | None, found: PoseList) -> bool:
@@ -68,12 +75,8 @@ def scaled_as(scale: str | None, found: PoseList) -> bool:
 
 
 def at_times(trajectory: Trajectory, times: NDArray[np.float64]) -> Trajectory:
-    """Poses at those of ``times`` that have one: the row of that time, or between two rows MAX_GAP_S apart at most."""
-    near = match_to_times(trajectory, times, min(SAME_FRAME_S, tolerance(times, None)))
-    between = interpolate_poses(trajectory, times[~np.isin(times, near.times)], max_gap=MAX_GAP_S * (1 + 1e-6))
-    stamps = np.concatenate([near.times, between.times])
-    order = np.argsort(stamps)
-    return Trajectory(stamps[order], np.concatenate([near.T_wc, between.T_wc])[order])
+    """Poses at those of ``times`` that have one, as ground truth is brought to frames everywhere; may be empty."""
+    return truth_at_frames(trajectory, times) or trajectory.select([])
 
 
 class ReferencedSequence(FrameSequence):
@@ -94,7 +97,12 @@ class ReferencedSequence(FrameSequence):
 
     @property
     def groundtruth(self) -> Trajectory | None:
-        return self._reference.trajectory
+        truth = self._reference.trajectory
+        return truth if len(truth) else None
+
+    @property
+    def recorded_truth(self) -> Trajectory | None:
+        return self._reference.recorded
 
     @property
     def groundtruth_scaled(self) -> bool:
@@ -112,9 +120,15 @@ class ReferencedSequence(FrameSequence):
         inner = self._inner.rendered_by(camera, R_target_source)
         if inner is None:
             return None
-        truth = self._reference.trajectory
-        turned = Trajectory(truth.times, rotated_poses(truth.T_wc, R_target_source))
-        return ReferencedSequence(inner, Reference(self._reference.path, turned, self._reference.scaled))
+
+        def turned(poses: Trajectory) -> Trajectory:
+            return Trajectory(poses.times, rotated_poses(poses.T_wc, R_target_source))
+
+        about, recorded = self._reference, self._reference.recorded
+        moved = replace(
+            about, trajectory=turned(about.trajectory), recorded=None if recorded is None else turned(recorded)
+        )
+        return ReferencedSequence(inner, moved)
 
     def remarks(self) -> list[str]:
         return [*self._inner.remarks(), *self._reference.remarks]

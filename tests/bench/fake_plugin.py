@@ -89,6 +89,28 @@ class Slow(Still):
         return super().track(frame)
 
 
+class CompilesLate(Still):
+    """Warms up, and has Numba compile something in the middle of a run all the same."""
+
+    def warm_up(self, camera):
+        assert camera.kind == "erp"
+        time.sleep(0.3)
+
+    def track(self, frame):
+        if frame.index == 5:
+            import numba
+
+            @numba.njit
+            def kernel_of_a_plugin(x):
+                total = 0.0
+                for i in range(x):
+                    total += np.sin(i) * np.cos(total)
+                return total
+
+            kernel_of_a_plugin(3)
+        return super().track(frame)
+
+
 class Crash(Still):
     def track(self, frame):
         if frame.index == 3:
@@ -322,6 +344,7 @@ class Views(TinySequence):
 
 _METHODS = {
     "still": Still,
+    "compiles-late": CompilesLate,
     "slow": Slow,
     "crash": Crash,
     "nan-pose": NanPose,

@@ -126,6 +126,20 @@ def test_failures_are_runs_with_a_status(tmp_path: Path, method: str, status: st
         assert "Traceback" in (folder / "log.txt").read_text()
 
 
+def test_warming_up_is_not_timed_and_late_compilation_is_told(tmp_path: Path) -> None:
+    import numba  # noqa: F401 - as it is imported by built-in methods
+
+    _, run_json = run(tmp_path, "compiles-late")
+    timing = run_json["timing"]
+    assert timing["prepare_s"] >= 0.3
+    assert timing["start_s"] < 0.3
+    assert timing["late_compile_s"] > 0
+    if timing["late_compile_s"] > 0.1:
+        assert any("compiling kernels (kernel_of_a_plugin)" in remark for remark in run_json["remarks"])
+    _, quiet = run(tmp_path, "still")
+    assert quiet["timing"]["late_compile_s"] == 0
+
+
 def test_methods_see_no_truth(tmp_path: Path) -> None:
     folder, run_json = run(tmp_path, "peeks")
     assert run_json["status"] == "ok", run_json["message"]

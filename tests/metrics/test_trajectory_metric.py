@@ -116,3 +116,37 @@ def test_world_alignment_inverts_a_similarity() -> None:
     found = world_alignment(matched)
     assert found.scale == pytest.approx(1 / 1.7)
     assert found.inverse().apply_poses(gt.T_wc) == pytest.approx(matched.estimate.T_wc, abs=1e-9)
+
+
+class SomeTruth(TinySequence):
+    """Truth for some of its frames."""
+
+    def __init__(self, n: int, frames: list[int]) -> None:
+        super().__init__(n=n)
+        self._frames = frames
+
+    @property
+    def groundtruth(self) -> Trajectory | None:
+        whole = super().groundtruth
+        return None if whole is None else whole.select(self._frames)
+
+
+def test_rpe_is_over_frames_that_follow_each_other() -> None:
+    """A step of 0.1 m at each fifth frame counts where both its frames have truth and a pose, and nowhere else."""
+    _, gt = truth()
+    moved = gt.T_wc.copy()
+    moved[:, 0, 3] += 0.1 * (np.arange(40) // 5)
+    whole, _ = measure(Estimate(Trajectory(gt.times, moved)), SomeTruth(40, list(range(40))))
+    scale = whole["scale"]
+    # in the frame before, the step is of known length: seven steps among 39 pairs, a little more by scale
+    assert whole["rpe_trans_rmse_m"] == pytest.approx(0.1 * np.sqrt(7 / 39) * scale, rel=0.3)
+    within = [i for i in range(40) if i % 5 not in (0,)]
+    values, _ = measure(Estimate(Trajectory(gt.times, moved)), SomeTruth(40, within))
+    assert values["rpe_trans_rmse_m"] < 0.3 * whole["rpe_trans_rmse_m"]
+    tracked = Trajectory(gt.times[within], moved[within])
+    lost, _ = measure(Estimate(tracked), SomeTruth(40, list(range(40))))
+    assert lost["rpe_trans_rmse_m"] == pytest.approx(values["rpe_trans_rmse_m"], rel=1e-6)
+    apart, notes = measure(Estimate(Trajectory(gt.times, moved)), SomeTruth(40, list(range(0, 40, 2))))
+    assert apart["ate_rmse_m"] is not None
+    assert apart["rpe_trans_rmse_m"] is None
+    assert "no two consecutive frames" in notes["rpe_trans_rmse_m"]
