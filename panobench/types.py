@@ -38,6 +38,8 @@ class Frame:
 
     ``mappable`` is False for held-out frames: they are tracked, and must not be mapped.
     ``depth`` is only filled for runs that declared the dataset's depth as an input (oracle).
+    ``mask`` (H, W) is where this frame shows the scene, besides the camera's mask; None: wherever the camera sees. What
+    it hides is black. Methods whose spec says ``frame_masks`` honour it.
     """
 
     index: int
@@ -46,6 +48,7 @@ class Frame:
     mappable: bool = True
     depth: NDArray[np.float32] | None = None
     name: str = ""
+    mask: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True)

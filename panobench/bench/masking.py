@@ -96,9 +96,12 @@ def read_mask_for(camera: Camera, path: Path) -> NDArray[np.bool_]:
     return resize_mask(mask, camera.width, camera.height)
 
 
-def apply_mask(choice: MaskChoice, sequence: ChosenFrames, seed: int, log: Callable[[str], None]) -> MaskRecord | None:
+def apply_mask(
+    choice: MaskChoice, sequence: ChosenFrames, seed: int, log: Callable[[str], None], frame_masks: bool = False
+) -> MaskRecord | None:
     """Find the mask and hide what it hides from whoever reads ``sequence``; what is said about it, if there is one.
 
+    frame_masks: the reader honours masks of single frames; otherwise what one of them hides is hidden in all.
     An estimator that fails leaves the view as it is.
     """
     begin = time.perf_counter()
@@ -114,11 +117,15 @@ def apply_mask(choice: MaskChoice, sequence: ChosenFrames, seed: int, log: Calla
         before = sequence.camera.valid_mask()
         record.ok, record.message = found.ok, found.message
         record.details = dict(found.details) or None
-        if not (before & found.valid).any():
+        valid = found.valid
+        if found.frames and frame_masks:
+            sequence.hide_in_frames(found.frames)
+        elif found.frames:
+            valid = valid & np.all(list(found.frames.values()), axis=0)
+        if not (before & valid).any():
             raise UsageError(f"--mask: the mask hides all of the view ({choice.source})")
-        record.found = _share(whole, before & ~found.valid)
-        if (before & ~found.valid).any():
-            sequence.hide(~found.valid)
+        record.found = _share(whole, before & ~valid)
+        sequence.hide(~valid)
     record.hidden = _share(whole, whole.valid_mask() & ~sequence.camera.valid_mask())
     if choice.source:
         record.seconds = round(time.perf_counter() - begin, 3)

@@ -114,7 +114,7 @@ def _run(
         log(f"note: {remark}")
     holdout = held_out(len(setup.sequence), request.holdout)
     observer.stage("looking for what moves with the camera" if setup.mask.spec else "reading the mask")
-    mask = apply_mask(setup.mask, setup.sequence, request.seed, log)
+    mask = apply_mask(setup.mask, setup.sequence, request.seed, log, setup.spec.frame_masks)
     _seed(request.seed)
     if kernel_cache.note():
         log(str(kernel_cache.note()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from typing import Any
 
@@ -27,6 +27,7 @@ class ChosenFrames(FrameSequence):
         self._index = np.arange(0, len(inner), every)[:max_frames]
         self.name, self.dataset, self.camera = inner.name, inner.dataset, inner.camera
         self.times = np.asarray(inner.times, dtype=np.float64)[self._index]
+        self._frame_masks: Mapping[int, NDArray[np.bool_]] = {}
         if not (np.isfinite(self.times).all() and (np.diff(self.times) > 0).all()):
             raise DatasetError(f"sequence '{inner.name}': the times are not finite and increasing")
 
@@ -39,6 +40,14 @@ class ChosenFrames(FrameSequence):
         """Take ``pixels`` (H, W) out of the camera's view, for whoever reads the frames from now on."""
         if (self.camera.valid_mask() & pixels).any():
             self.camera = self.camera.with_mask(self.camera.valid_mask() & ~pixels)
+
+    def hide_in_frames(self, masks: Mapping[int, NDArray[np.bool_]]) -> None:
+        """Frames by index show the scene only in these pixels (H, W), besides what their source says."""
+        self._frame_masks = masks
+
+    def frame_mask(self, index: int) -> NDArray[np.bool_] | None:
+        own, found = self._inner.frame_mask(self.original(index)), self._frame_masks.get(index)
+        return own if found is None else found if own is None else own & found
 
     def original(self, index: int) -> int:
         """The frame's number in the whole sequence."""
@@ -118,7 +127,10 @@ class FrameReader:
         image = image.copy()
         if self._hidden is not None:
             image[self._hidden] = 0
-        return Frame(index, float(sequence.times[index]), image, mappable, depth, sequence.frame_name(index))
+        mask = sequence.frame_mask(index)
+        if mask is not None:
+            image[~mask] = 0
+        return Frame(index, float(sequence.times[index]), image, mappable, depth, sequence.frame_name(index), mask)
 
 
 class MethodSequence(FrameSequence):

@@ -42,6 +42,10 @@ class FrameSequence(ABC):
         """Radial depth (H, W) at the camera's size, metres, NaN unknown; None if the frame has none."""
         return None
 
+    def frame_mask(self, index: int) -> NDArray[np.bool_] | None:
+        """(H, W): where this frame shows the scene, besides the camera's mask; None: wherever the camera sees."""
+        return None
+
     @property
     def groundtruth(self) -> Trajectory | None:
         """True camera-to-world poses at some or all of ``times``, whose times match exactly; or None."""

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 class MaskEstimate:
     """What an estimator found.
 
-    valid:   (H, W) bool at the camera's size, True where the view shows the scene in every frame.
-    frames:  by frame index, masks (H, W) of single frames; frames that are not there have ``valid``.
+    valid:   (H, W) bool at the camera's size, True where the view may show the scene.
+    frames:  by frame index, masks (H, W) of single frames, which hide more; others show the scene wherever ``valid``.
     ok:      False: it could not tell, and ``valid`` is all the camera sees; ``message`` says why in one line.
     details: JSON-serialisable numbers for run.json.
     """

@@ -10,10 +10,11 @@ import pytest
 
 from panobench.bench import masking
 from panobench.bench.artifacts import artifact_checksums
-from panobench.bench.masking import choose_mask, read_mask_for
+from panobench.bench.masking import MaskChoice, apply_mask, choose_mask, read_mask_for
 from panobench.bench.record import RunRecord, read_record
 from panobench.bench.request import RunRequest
 from panobench.bench.runner import execute
+from panobench.bench.views import ChosenFrames, FrameReader
 from panobench.cameras.erp import ErpCamera
 from panobench.cli.run import summary
 from panobench.datasets.base import FrameSequence
@@ -22,6 +23,7 @@ from panobench.errors import DatasetError, UnknownNameError, UsageError
 from panobench.masks.base import MaskEstimate, MaskEstimator
 from panobench.plugins import Registered, registry
 from panobench.specs import MaskSpec, MethodSpec
+from panobench.testing import TinySequence, erp_camera
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
 LOWER = np.arange(64)[:, None].repeat(128, axis=1) >= 48
@@ -143,3 +145,32 @@ def test_without_a_mask_nothing_is_written(tmp_path: Path) -> None:
     assert record.mask is None
     assert not (folder / "mask.png").exists()
     assert "of the view hidden" not in summary(folder, record)
+
+
+def test_masks_of_single_frames_reach_who_honours_them_and_are_joined_for_others() -> None:
+    one, two = np.ones((64, 128), bool), np.ones((64, 128), bool)
+    one[:8], two[:, :16] = False, False
+
+    class Frames(MaskEstimator):
+        def estimate(self, sequence: FrameSequence, seed: int = 0) -> MaskEstimate:
+            return MaskEstimate(~LOWER, {1: one, 2: two})
+
+    def applied(frame_masks: bool) -> ChosenFrames:
+        sequence = ChosenFrames(TinySequence(erp_camera(128), n=4))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(masking, "Frames", Frames, raising=False)
+            spec = MaskSpec("frames", "for tests", "panobench.bench.masking:Frames")
+            apply_mask(MaskChoice(spec), sequence, 0, print, frame_masks)
+        return sequence
+
+    joined = applied(False)
+    assert np.array_equal(joined.camera.valid_mask(), ~LOWER & one & two)
+    assert FrameReader(joined)(1).mask is None
+    single = applied(True)
+    assert np.array_equal(single.camera.valid_mask(), ~LOWER)
+    read = FrameReader(single)
+    assert read(0).mask is None
+    frame = read(1)
+    assert frame.mask is one
+    assert not frame.image[~one].any()
+    assert frame.image[one & ~LOWER].any()
