@@ -101,6 +101,19 @@ def _parse_image(path: Path) -> None:
     assert read_image(path).shape == (size[1], size[0], 3)
 
 
+def _mask_material() -> Material:
+    seen = np.ones((16, 32), np.uint8)
+    seen[10:, 4:20] = 0
+    pictures = [seen * 255, seen, seen.astype(np.uint16), np.dstack([seen * 200] * 3 + [seen * 255])]
+    return Material(tuple(bytes(cv2.imencode(".png", p)[1]) for p in pictures))
+
+
+def _parse_mask(path: Path) -> None:
+    from panobench.masks.files import read_mask_file
+
+    assert read_mask_file(path, (64, 32)).valid.shape == (32, 64)
+
+
 def _npy_material() -> Material:
     import io
 
@@ -206,6 +219,7 @@ TARGETS = (
     Target("palvio-yaml", "palvio.yaml", text(_PALVIO, words="camera ../camera.yaml imu_topic time_offset_s"),
            _palvio),
     Target("image", "image.png", _image_material, plain(_parse_image)),
+    Target("mask", "mask.png", _mask_material, plain(_parse_mask)),
     Target("depth-npy", "depth.npy", _npy_material, plain(_parse_npy)),
     Target("video", "a.mp4", _video_material, plain(_parse_video)),
     Target("bag", "a.bag", _bag_material, plain(_parse_bag)),

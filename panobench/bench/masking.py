@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from panobench.bench.record import MaskRecord
 from panobench.bench.views import ChosenFrames, MethodSequence
 from panobench.cameras.base import Camera
-from panobench.errors import PanobenchError, UnavailableError, UnknownNameError, UsageError
+from panobench.errors import DatasetError, PanobenchError, UnavailableError, UnknownNameError, UsageError
 from panobench.masks.base import MaskEstimate, MaskEstimator
+from panobench.masks.files import MaskFile, read_mask_file
 from panobench.plugins import registry
 from panobench.specs import DatasetSpec, MaskSpec
 
@@ -72,7 +73,8 @@ def find_mask(choice: MaskChoice, sequence: ChosenFrames, seed: int) -> MaskEsti
     """The mask of a sequence; None without a choice. Raises DatasetError for a mask file that does not fit."""
     camera = sequence.camera
     if choice.file is not None:
-        return MaskEstimate(read_mask_for(camera, choice.file))
+        given = read_mask_for(camera, choice.file)
+        return MaskEstimate(given.valid, message="; ".join(given.remarks), details=given.about())
     if choice.spec is None:
         return None
     estimator: MaskEstimator = choice.spec.load()(choice.argument)
@@ -82,18 +84,12 @@ def find_mask(choice: MaskChoice, sequence: ChosenFrames, seed: int) -> MaskEsti
     return found
 
 
-def read_mask_for(camera: Camera, path: Path) -> NDArray[np.bool_]:
-    """A mask image (white: valid) at the camera's size, or at another size of the same proportions."""
-    from panobench.cameras.parametric import resize_mask
-    from panobench.datasets.images import read_mask, read_size
-
-    width, height = read_size(path)
-    mask = read_mask(path, (width, height))
-    if (width, height) == (camera.width, camera.height):
-        return mask
-    if abs(width * camera.height - height * camera.width) > max(width, height) * 2:
-        raise UsageError(f"--mask {path}: it is {width}x{height} pixels, the images are {camera.width}x{camera.height}")
-    return resize_mask(mask, camera.width, camera.height)
+def read_mask_for(camera: Camera, path: Path) -> MaskFile:
+    """A mask picture at the camera's size, or at another size of the same proportions."""
+    try:
+        return read_mask_file(path, (camera.width, camera.height))
+    except DatasetError as error:
+        raise UsageError(f"--mask {error}") from None
 
 
 def apply_mask(
@@ -105,7 +101,10 @@ def apply_mask(
     An estimator that fails leaves the view as it is.
     """
     begin = time.perf_counter()
-    record = MaskRecord(choice.source, None if choice.file is None else choice.file.name)
+    given = sequence.provenance().get("mask")
+    record = MaskRecord(choice.source, given.get("file") if isinstance(given, dict) else None)
+    if choice.file is not None:
+        record.file = choice.file.name
     try:
         found = find_mask(choice, sequence, seed)
     except PanobenchError as error:
@@ -130,6 +129,8 @@ def apply_mask(
     if choice.source:
         record.seconds = round(time.perf_counter() - begin, 3)
         log(f"mask by {choice.source}: {record.message or f'{record.found:.1%} of the view hidden'}")
+    if record.hidden:
+        log(f"mask: {record.hidden:.1%} of the view hidden in all{f' ({record.file})' if record.file else ''}")
     return record if choice.source or record.hidden else None
 
 

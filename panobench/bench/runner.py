@@ -138,6 +138,8 @@ def _run(
     record = run_record(request, setup, tracked, holdout, scores, timing, origin, offset)
     record.cell = cell
     record.mask = mask
+    if mask is not None and mask.source == "file" and mask.message:
+        record.remarks.append(mask.message)
     if watch.note():
         record.remarks.append(str(watch.note()))
     record.verdict = _verdict(request, setup, tracked, scores, folder, log, observer)

@@ -127,8 +127,9 @@ def tracked_text(frames: FramesRecord) -> str:
 def mask_source(mask: MaskRecord) -> str:
     """Where a mask came from: "geometry", "camera", "mask.png", "geometry and camera"."""
     given = mask.hidden > mask.found + 1e-6
-    found = (mask.file or mask.source) if mask.found else ""
-    return " and ".join(part for part in (found, "camera" if given else "") if part)
+    own = mask.source == "file"
+    found = ((mask.file if own else "") or mask.source) if mask.found else ""
+    return " and ".join(part for part in (found, ((not own and mask.file) or "camera") if given else "") if part)
 
 
 def summary(folder: Path, record: RunRecord) -> str:

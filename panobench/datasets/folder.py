@@ -18,7 +18,7 @@ from panobench.cameras.base import Camera
 from panobench.cameras.calibration import Calibration, inspect_calibration
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
-from panobench.datasets.images import read_image, read_mask
+from panobench.datasets.images import read_image
 from panobench.datasets.imu_table import read_imu_table
 from panobench.datasets.listing import children
 from panobench.datasets.locate import choose_sequence
@@ -32,6 +32,7 @@ from panobench.datasets.trajectory_io import (
 )
 from panobench.datasets.truth import truth_at_frames
 from panobench.errors import DatasetError
+from panobench.masks.files import mask_of_folder
 from panobench.reading import inside, number_array, parse_json, read_text
 from panobench.types import Imu, NovelView
 
@@ -103,10 +104,9 @@ def _read(folder: Path, name: str) -> ImageSource:
     frames_path = folder / "frames.csv"
     times, images = _read_frames(frames_path, folder)
     inputs = [folder / "camera.yaml", frames_path]
-    mask_path, truth_path, imu_path = folder / "mask.png", folder / "groundtruth.tum", folder / "imu.csv"
-    if mask_path.is_file():
-        mask = read_mask(mask_path, (camera.width, camera.height))
-        camera = camera.with_mask(mask if camera.mask is None else mask & camera.mask)
+    truth_path, imu_path = folder / "groundtruth.tum", folder / "imu.csv"
+    mask = mask_of_folder([folder], (camera.width, camera.height))
+    camera = mask.on(camera)
     present = {p.name: p for p in (folder / "depth").iterdir()} if (folder / "depth").is_dir() else {}
     depth_files = {}
     for index, image in enumerate(images):
@@ -126,8 +126,9 @@ def _read(folder: Path, name: str) -> ImageSource:
         recorded_truth=recorded,
         imu=_read_imu(imu_path, calibration, meta) if imu_path.is_file() else None,
         depth=depth_files,
-        inputs=(*inputs, *(p for p in (mask_path, truth_path, imu_path) if p.is_file())),
-        notes={"meta": meta} if meta else {},
+        inputs=(*inputs, *mask.files(), *(p for p in (truth_path, imu_path) if p.is_file())),
+        notes={**({"meta": meta} if meta else {}), **mask.about()},
+        remarks=mask.remarks,
         novel=lambda: _read_novel(folder, camera),
     )
 

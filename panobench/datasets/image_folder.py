@@ -14,15 +14,15 @@ from panobench.cameras.calibration import inspect_calibration, split_choice
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.image_times import image_times
-from panobench.datasets.images import list_images, read_mask
+from panobench.datasets.images import list_images
 from panobench.datasets.listing import children, one_of_each
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.synpano import panorama_camera
 from panobench.errors import CalibrationError, DatasetError
+from panobench.masks.files import looks_like_mask, mask_of_folder
 
 #: Calibration files that are looked for beside images, without their endings.
 _NAMES = ("camera", "calibration", "calib", "camera_info", "intrinsics")
-MASK = "mask.png"
 _ENDINGS = (".yaml", ".yml", ".xml", ".json", ".txt")
 
 
@@ -49,26 +49,22 @@ class ImageFolder(Dataset):
         return ImageSequence(self._read(found[name], name), width)
 
     def _read(self, folder: Path, name: str) -> ImageSource:
-        images = [path for path in list_images(folder) if path.name.lower() != MASK]
+        images = [path for path in list_images(folder) if not looks_like_mask(path)]
         taken = image_times(one_of_each(images), self.given.rate)
         size = check_sizes(taken.images)
         camera, inputs, said = camera_of(taken.images[0], size, self.given.calibration)
-        mask = next((p for p in (folder / MASK, folder.parent / MASK) if p.is_file()), None)
-        if mask is not None:
-            hidden = read_mask(mask, size)
-            camera = camera.with_mask(hidden if camera.mask is None else hidden & camera.mask)
-            inputs = (*inputs, mask)
+        mask = mask_of_folder([folder, folder.parent], size)
         remarks = [taken.source] if taken.assumed else [f"times are from {taken.source}"]
         return ImageSource(
             dataset=self.name,
             name=name,
             root=folder,
-            native=camera,
+            native=mask.on(camera),
             times=taken.times,
             images=taken.images,
-            inputs=(*taken.inputs, *inputs),
-            notes={"times": taken.source},
-            remarks=(*remarks, *said),
+            inputs=(*taken.inputs, *inputs, *mask.files()),
+            notes={"times": taken.source, **mask.about()},
+            remarks=(*remarks, *said, *mask.remarks),
         )
 
 

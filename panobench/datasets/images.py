@@ -79,7 +79,8 @@ def decode_stored(data: bytes, path: Path | str, frame: int | str | None = None)
     return np.asarray(pixels)
 
 
-def _read_bytes(path: Path, what: str, frame: int | str | None) -> bytes:
+def read_bytes(path: Path, what: str, frame: int | str | None = None) -> bytes:
+    """A file's content. Raises DatasetError naming it, and ``what`` it is, where it cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -109,15 +110,7 @@ def decode_image(data: bytes, path: Path | str, *, frame: int | str | None = Non
 
 def read_image(path: Path, *, frame: int | str | None = None) -> NDArray[np.uint8]:
     """An image file -> RGB uint8 (H, W, 3). Raises DatasetError naming file and frame."""
-    return decode_image(_read_bytes(path, "image", frame), path, frame=frame)
-
-
-def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """A mask image -> bool (H, W), True where the pixel is more than half white. Its size must be ``size`` (w, h)."""
-    mask = read_image(path)
-    if mask.shape[1::-1] != size:
-        raise DatasetError(f"the mask is {mask.shape[1]}x{mask.shape[0]}, the images are {size[0]}x{size[1]}", path)
-    return np.asarray(mask.max(axis=-1) > 127)
+    return decode_image(read_bytes(path, "image", frame), path, frame=frame)
 
 
 def read_depth(path: Path, *, frame: int | str | None = None) -> NDArray[np.float32]:
@@ -146,7 +139,7 @@ def read_depth(path: Path, *, frame: int | str | None = None) -> NDArray[np.floa
         check_limits(stored.shape[1], stored.shape[0], path, frame)
         depth = np.array(stored, dtype=np.float32)
     else:
-        stored = decode_stored(_read_bytes(path, "depth map", frame), path, frame)
+        stored = decode_stored(read_bytes(path, "depth map", frame), path, frame)
         if stored.dtype != np.uint16 or stored.ndim != 2:
             raise DatasetError("a depth PNG must be single-channel 16 bit, millimetres", path, frame=frame)
         depth = stored.astype(np.float32) * np.float32(1e-3)

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from panobench.cameras.calibration import Calibration, inspect_calibration
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.image_sequence import ImageSequence, ImageSource
-from panobench.datasets.images import read_mask
 from panobench.datasets.imu_table import read_imu_table
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.natural import natural_paths
 from panobench.datasets.trajectory_io import check_times, parse_floats, read_euroc_csv, read_rows
 from panobench.datasets.truth import truth_at_frames
 from panobench.errors import CalibrationError, DatasetError
+from panobench.masks.files import mask_of_folder
 from panobench.types import Imu, Trajectory
 
 _CALIBRATIONS = ("dso/camchain.yaml", "camchain.yaml", "mav0/camchain.yaml", "camera.yaml")
@@ -57,10 +57,8 @@ class TumVi(Dataset):
 def _read(folder: Path, name: str) -> ImageSource:
     calibration, calibration_path = _calibration(folder)
     times, images = _image_list(folder / "mav0/cam0")
-    native = calibration.camera
-    mask = folder / "mask.png"
-    if mask.is_file():
-        native = native.with_mask(read_mask(mask, (native.width, native.height)))
+    mask = mask_of_folder([folder], (calibration.camera.width, calibration.camera.height))
+    native = mask.on(calibration.camera)
     truth_path = next((folder / p for p in _TRUTHS if (folder / p).is_file()), None)
     imu_path = folder / "mav0/imu0/data.csv"
     imu = _read_imu(imu_path, calibration) if imu_path.is_file() else None
@@ -76,8 +74,9 @@ def _read(folder: Path, name: str) -> ImageSource:
         groundtruth=None if recorded is None else truth_at_frames(recorded, times),
         recorded_truth=recorded,
         imu=imu,
-        inputs=tuple(inputs),
-        notes={"evaluated_frame": "camera 0", "calibration_notes": calibration.notes},
+        inputs=(*inputs, *mask.files()),
+        notes={"evaluated_frame": "camera 0", "calibration_notes": calibration.notes, **mask.about()},
+        remarks=mask.remarks,
     )
 
 

@@ -15,11 +15,11 @@ from panobench.cameras.base import Camera
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.image_sequence import scaled_camera
-from panobench.datasets.images import read_mask
 from panobench.datasets.listing import by_stem, children
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.synpano import panorama_camera
 from panobench.errors import DatasetError
+from panobench.masks.files import BesideMask, beside_video
 from panobench.video.reader import VideoReader
 
 VIDEO_SUFFIXES = (
@@ -31,17 +31,19 @@ VIDEO_SUFFIXES = (
 class VideoSequence(FrameSequence):
     """A video seen by ``native`` (its camera at the stored size), decoded at ``width``."""
 
-    def __init__(self, reader: VideoReader, native: Camera, name: str, width: int | None, dataset: str) -> None:
-        self.reader, self.name, self.dataset = reader, name, dataset
-        self.native = native
-        self.camera = scaled_camera(native, width)
+    def __init__(
+        self, reader: VideoReader, native: Camera, name: str, width: int | None, dataset: str, mask: BesideMask
+    ) -> None:
+        self.reader, self.name, self.dataset, self.mask = reader, name, dataset, mask
+        self.native = native if mask.file is None else native.with_mask(mask.file.valid)
+        self.camera = scaled_camera(self.native, width)
         self.times = reader.times
 
     def image(self, index: int) -> NDArray[np.uint8]:
         return self.reader.read(range(len(self))[index], (self.camera.width, self.camera.height))
 
     def remarks(self) -> list[str]:
-        return video_remarks(self.reader)
+        return [*video_remarks(self.reader), *self.mask.remarks]
 
     def provenance(self) -> dict[str, Any]:
         return {
@@ -49,7 +51,8 @@ class VideoSequence(FrameSequence):
             "sequence": self.name,
             "root": str(self.reader.path),
             **video_provenance(self.reader),
-            **files_provenance([self.reader.path]),
+            **self.mask.about(),
+            **files_provenance([self.reader.path, *self.mask.files()]),
         }
 
 
@@ -117,7 +120,5 @@ class Video(Dataset):
         path = video_files(self.root)[name]
         reader = VideoReader(path)
         camera = panorama_camera((reader.width, reader.height), path)
-        mask = path.with_name(f"{path.stem}.mask.png")
-        if mask.is_file():
-            camera = camera.with_mask(read_mask(mask, (reader.width, reader.height)))
-        return VideoSequence(reader, camera, name, width, self.name)
+        mask = beside_video(path, (reader.width, reader.height))
+        return VideoSequence(reader, camera, name, width, self.name, mask)

@@ -18,9 +18,10 @@ from panobench.bench.views import ChosenFrames, FrameReader
 from panobench.cameras.erp import ErpCamera
 from panobench.cli.run import summary
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.images import read_mask, write_image
+from panobench.datasets.images import write_image
 from panobench.errors import DatasetError, UnknownNameError, UsageError
 from panobench.masks.base import MaskEstimate, MaskEstimator
+from panobench.masks.files import read_mask_file
 from panobench.plugins import Registered, registry
 from panobench.specs import MaskSpec, MethodSpec
 from panobench.testing import TinySequence, erp_camera
@@ -94,7 +95,7 @@ def test_a_file_hides_what_is_black_in_it(tmp_path: Path) -> None:
     assert (record.mask.source, record.mask.file) == ("file", "painted.png")
     area = ErpCamera(128, 64).solid_angle()
     assert record.mask.hidden == record.mask.found == pytest.approx(area[LOWER].sum() / area.sum(), abs=1e-5)
-    assert np.array_equal(read_mask(folder / "mask.png", (128, 64)), ~LOWER)
+    assert np.array_equal(read_mask_file(folder / "mask.png", (128, 64)).valid, ~LOWER)
     assert (folder / "renders" / "hidden.jpg").is_file()
     assert f"{'mask':18}14.6% of the view hidden (painted.png)" in summary(folder, record)
     request = RunRequest(method="fake-still", dataset="tiny", width=128, mask=str(path))
@@ -106,7 +107,7 @@ def test_a_file_hides_what_is_black_in_it(tmp_path: Path) -> None:
 
 def test_a_file_of_another_size_is_resized_and_one_of_other_proportions_refused(tmp_path: Path) -> None:
     path = painted(tmp_path, LOWER)
-    small = read_mask_for(ErpCamera(64, 32), path)
+    small = read_mask_for(ErpCamera(64, 32), path).valid
     assert small.shape == (32, 64)
     assert small[:24].all()
     assert not small[24:].any()

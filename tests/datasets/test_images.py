@@ -15,7 +15,6 @@ from panobench.datasets.images import (
     encode_image,
     read_depth,
     read_image,
-    read_mask,
     read_size,
     resize_depth,
 )
@@ -86,15 +85,6 @@ def test_garbage_never_raises_anything_else() -> None:
                 damaged[at] = rng.integers(0, 256)
             with contextlib.suppress(DatasetError):
                 assert decode_image(bytes(damaged), "f").dtype == np.uint8
-
-
-def test_masks_are_strict_about_size(tmp_path: Path) -> None:
-    mask = np.zeros((4, 8), bool)
-    mask[1:3] = True
-    (tmp_path / "m.png").write_bytes(encode_image(mask, ".png"))
-    np.testing.assert_array_equal(read_mask(tmp_path / "m.png", (8, 4)), mask)
-    with pytest.raises(DatasetError, match="the mask is 8x4, the images are 16x8"):
-        read_mask(tmp_path / "m.png", (16, 8))
 
 
 def test_depth_errors(tmp_path: Path) -> None:

@@ -76,7 +76,8 @@ def _ring(
 
 
 def _read_mask(table: Table, path: Path, camera: Camera) -> NDArray[np.bool_]:
-    from panobench.datasets.images import decode_image  # reads no more than its limits allow
+    from panobench.datasets.images import decode_stored  # reads no more than its limits allow
+    from panobench.masks.pixels import understand
 
     name = table["mask"]
     file = inside(path.parent, name) if isinstance(name, str) else None
@@ -87,14 +88,14 @@ def _read_mask(table: Table, path: Path, camera: Camera) -> NDArray[np.bool_]:
     except OSError:
         raise table.error(f"the mask file {name} is missing", "mask") from None
     try:
-        image = decode_image(data, file).max(axis=-1)
-    except DatasetError:
-        raise table.error(f"the mask file {name} is not an image", "mask") from None
-    if image.shape != (camera.height, camera.width):
+        valid = understand(decode_stored(data, file)).valid
+    except (DatasetError, ValueError):
+        raise table.error(f"the mask file {name} is not an image that can be a mask", "mask") from None
+    if valid.shape != (camera.height, camera.width):
         raise table.error(
-            f"the mask {name} is {image.shape[1]}x{image.shape[0]}, the camera {camera.width}x{camera.height}", "mask"
+            f"the mask {name} is {valid.shape[1]}x{valid.shape[0]}, the camera {camera.width}x{camera.height}", "mask"
         )
-    return np.asarray(image > 0)
+    return valid
 
 
 def _pose(table: Table) -> Array | None:
