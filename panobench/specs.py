@@ -81,7 +81,9 @@ class CameraSpec(Spec):
 class DatasetSpec(Spec):
     """A dataset adapter; the implementation is a ``Dataset`` subclass.
 
-    publisher and layout are shown when the data are not found: who publishes it, what is expected where.
+    publisher and layout are shown when the data are not found: who publishes it, what is expected where. obtain: where
+    to get it, in exact words. download: "module:NAME" of a ``panobench.datasets.download.Published``, for publishers
+    with an address that stays.
     camera: the kind of camera of all its sequences, "" where it depends; with it a sequence that must be converted is
     opened once, at full resolution. needs_root: False for generators. recorded: False for rendered images, into which
     nobody who carries the camera can get.
@@ -90,6 +92,8 @@ class DatasetSpec(Spec):
     kind: ClassVar[str] = "dataset"
     publisher: str = ""
     layout: str = ""
+    obtain: str = ""
+    download: str | None = None
     camera: str = ""
     needs_root: bool = True
     recorded: bool = True

@@ -10,6 +10,7 @@ from __future__ import annotations
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("panobench.cli.run", "Run one method on one sequence and store the run."),
     "probe": ("panobench.cli.probe", "Say what a folder, video, bag or file is, and what a run on it would cost."),
+    "download": ("panobench.cli.download", "Fetch a published dataset, where its publisher has a stable address."),
     "suite": ("panobench.cli.suite", "Run a matrix of methods, cameras, datasets and seeds; resumable."),
     "study": ("panobench.cli.study", "Regenerate one of the paper's tables or figures."),
     "report": ("panobench.cli.report", "Write one offline HTML file, or tables, from stored runs."),

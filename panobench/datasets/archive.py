@@ -30,6 +30,24 @@ def is_archive(path: Path) -> bool:
     return path.name.lower().endswith(SUFFIXES) and path.is_file()
 
 
+def unpack_into(path: Path, folder: Path) -> list[str]:
+    """The archive's files below ``folder``, which may have others; each is there whole or not. The top names in it.
+
+    Raises as ``unpacked`` does.
+    """
+    part = folder / f".{path.name}.{os.getpid()}.part"
+    try:
+        _extract(path, part, "make room, or choose another folder")
+        for file in sorted(p for p in part.rglob("*") if p.is_file()):
+            place = folder / file.relative_to(part)
+            with writing(place):
+                place.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(place)
+        return sorted(p.name for p in part.iterdir())
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
 def unpacked(path: Path) -> Path:
     """The archive's content as a folder in the cache, below its single top folder if it has one.
 
@@ -47,35 +65,41 @@ def unpacked(path: Path) -> Path:
 
 def _unpack(path: Path, target: Path) -> None:
     part = target.with_name(f"{target.name}.{os.getpid()}.part")
-    with writing(target.parent, denied=_SET_CACHE):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        free = shutil.disk_usage(target.parent).free
-        size = path.stat().st_size
-        shutil.rmtree(part, ignore_errors=True)
-        part.mkdir()
     try:
-        total = 0
-        for number, (name, length, file) in enumerate(_members(path)):
-            total += length
-            if number >= MAX_FILES or total > MAX_RATIO * size + (1 << 20):
-                raise DatasetError("the archive unpacks to more than a recording would", path)
-            if total > 0.9 * free:
-                raise DatasetError(
-                    f"the archive needs over {total >> 20} MiB in {target.parent}, which has {free >> 20} MiB; unpack "
-                    "it elsewhere, or set PANOBENCH_CACHE to another disk",
-                    path,
-                )
-            _write(part, name, length, file, path)
+        _extract(path, part, "unpack it elsewhere, or set PANOBENCH_CACHE to another disk")
         with writing(target, denied=_SET_CACHE):
             try:
                 part.rename(target)
             except OSError:
                 if not target.is_dir():  # another process was faster
                     raise
-    except (zipfile.BadZipFile, tarfile.TarError, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
-        raise DatasetError(f"the archive cannot be unpacked ({' '.join(str(error).split())[:200]})", path) from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _extract(path: Path, part: Path, without_room: str) -> None:
+    """Everything in the archive below ``part``, a new folder. without_room: what to do when the disk is too small."""
+    with writing(part.parent, denied=_SET_CACHE):
+        part.parent.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(part.parent).free
+        size = path.stat().st_size
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir()
+    total = 0
+    try:
+        for number, (name, length, file) in enumerate(_members(path)):
+            total += length
+            if number >= MAX_FILES or total > MAX_RATIO * size + (1 << 20):
+                raise DatasetError("the archive unpacks to more than a recording would", path)
+            if total > 0.9 * free:
+                raise DatasetError(
+                    f"the archive needs over {total >> 20} MiB in {part.parent}, which has {free >> 20} MiB; "
+                    f"{without_room}",
+                    path,
+                )
+            _write(part, name, length, file, path)
+    except (zipfile.BadZipFile, tarfile.TarError, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+        raise DatasetError(f"the archive cannot be unpacked ({' '.join(str(error).split())[:200]})", path) from None
 
 
 def _members(path: Path) -> Iterator[tuple[str, int, IO[bytes]]]:

@@ -17,6 +17,8 @@ def describe(spec: DatasetSpec) -> str:
     lines = [f"{spec.name}: {spec.summary}"]
     if spec.publisher:
         lines.append(f"published by: {spec.publisher}")
+    if spec.obtain:
+        lines.append(f"to get it: {spec.obtain}")
     if spec.layout:
         lines.append(f"expected layout: {spec.layout}")
     if spec.needs_root:

@@ -8,6 +8,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "synthetic indoor panoramas with exact ground truth",
         "panobench.datasets.synpano:SynPano",
         publisher="the SynPano authors (the synthetic benchmark of the PanoGS-SLAM paper)",
+        obtain="ask the authors of the PanoGS-SLAM paper; no public address is known",
         layout="SCENE/images/*.{png,jpg} (2:1), SCENE/groundtruth.txt with rows 'frame_id image_name x y z qx qy qz "
         "qw' in Blender camera axes, optional SCENE/depth/<stem>.{npy,png} and SCENE/novel/",
         camera="erp",
@@ -57,6 +58,8 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "panobench.datasets.palvio:Palvio",
         requires=("rosbags",),
         publisher="Wang et al., LF-VIO (IROS 2022): the PALVIO dataset, linked from the LF-VIO repository on GitHub",
+        obtain="follow the links in the README of https://github.com/flysoaryun/LF-VIO (Google Drive: ID01, ID06 and "
+        "ID10; Baidu: all ten) and put the bags into one folder",
         layout="ID01.bag ... ID10.bag (ROS 1: /mindvision/mindvision/left/image_mono, /mavros/imu/data, "
         "/vicon/pal/pal), or extracted ID01/images/<nanoseconds>.png with optional groundtruth.tum "
         "(body poses) and imu.csv",
@@ -83,6 +86,9 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "fisheye camera, IMU and motion capture, handheld",
         "panobench.datasets.tum_vi:TumVi",
         publisher="Schubert et al., TUM-VI (IROS 2018), Technical University of Munich",
+        obtain="`panobench download tum-vi --sequence room1`, or the 512x512 EuRoC archives of "
+        "https://cvg.cit.tum.de/data/datasets/visual-inertial-dataset",
+        download="panobench.datasets.published:TUM_VI",
         layout="SEQUENCE/mav0/cam0/{data.csv,data/*.png}, SEQUENCE/dso/camchain.yaml, optional mav0/imu0/data.csv, "
         "mav0/mocap0/data.csv",
     ),
@@ -91,6 +97,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "synthetic panoramas of streets with ground truth (left-handed)",
         "panobench.datasets.vo360:Vo360",
         publisher="Huang and Yeung, 360VO (ICRA 2022), HKUST",
+        obtain="ask the authors of the 360VO paper; no public address is known",
         layout="SEQUENCE/images/*.{png,jpg} (2:1), SEQUENCE/groundtruth.txt with rows 'frame_id image_name x y z qx qy "
         "qz qw', x right, y up, z forward",
         camera="erp",
@@ -101,6 +108,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "panoramas of four places with poses, for localisation",
         "panobench.datasets.loc360:Loc360",
         publisher="Huang et al., 360Loc (CVPR 2024), HKUST",
+        obtain="follow the link in the README of https://github.com/HuajianUP/360Loc (OneDrive) and unpack a place",
         layout="PLACE/{mapping,query_360}/SEQUENCE/image/*.jpg with camera_pose.json beside image/",
         camera="erp",
     ),
@@ -109,6 +117,8 @@ DATASETS: tuple[DatasetSpec, ...] = (
         "synthetic 360 scenes: OmniBlender and OB3D",
         "panobench.datasets.omniblender:OmniBlender",
         publisher="Choi et al., EgoNeRF (CVPR 2023); Ito et al., OB3D (2025)",
+        obtain="OmniBlender: follow the link in the README of https://github.com/changwoonchoi/EgoNeRF (Google Drive); "
+        "OB3D: https://www.kaggle.com/datasets/shintacs/ob3d-dataset",
         layout="SCENE/images/*.png and SCENE/transform.json (OmniBlender), or SCENE/Egocentric/images/NNNNN_rgb.png "
         "and cameras/NNNNN_cam.json (OB3D)",
         camera="erp",
