@@ -192,16 +192,14 @@ def _bag_material() -> Material:
 
 
 def _parse_bag(path: Path) -> None:
-    from panobench.datasets.bag import BagFile, decode_image_message
+    from panobench.datasets.bags.files import BagFile
+    from panobench.datasets.bags.images import decode_image_message
 
     bag = BagFile(path)
     bag.describe_topics()
-    connections = bag.connections("/image", "sensor_msgs/msg/Image")
-    for k, (_, stamp, data) in enumerate(bag.records(connections)):
-        decode_image_message(data, path, k)
-        bag.parse(data, "/image", "sensor_msgs/msg/Image", k)
-        if k == 0:
-            bag.at(connections, stamp, 0)
+    bag.need("/image", ("sensor_msgs/msg/Image",))
+    for k, record in enumerate(list(bag.records({"/image"}))):
+        decode_image_message(bag.parse(bag.at("/image", record.place), k), path, k)
 
 
 TARGETS = (

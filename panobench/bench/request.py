@@ -131,6 +131,9 @@ class RunRequest:
     )
     topic: str | None = run_option(None, "Topic of a bag's images.", changes_input=True, label=None)
     imu_topic: str | None = run_option(None, "Topic of a bag's IMU.", changes_input=True, label=None)
+    groundtruth_topic: str | None = run_option(
+        None, "Topic of a bag's true poses, or none.", changes_input=True, label=None
+    )
     groundtruth: str | None = run_option(
         None,
         "True poses: a trajectory's file (TUM, KITTI, COLMAP, transforms.json, ...) in place of the dataset's own.",
@@ -237,7 +240,7 @@ class RunRequest:
 
     def given(self) -> Given:
         """The options that go to the dataset. Raises UsageError for one that makes no sense."""
-        return Given(self.rate, self.calibration, self.topic, self.imu_topic)
+        return Given(self.rate, self.calibration, self.topic, self.imu_topic, self.groundtruth_topic)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name."""

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from panobench.errors import UnsupportedError
+
 if TYPE_CHECKING:
     from panobench.datasets.probe import Probe
 
@@ -28,15 +30,18 @@ def probe(
     calibration: Annotated[str | None, typer.Option(help="What took the images: a calibration file.")] = None,
     topic: Annotated[str | None, typer.Option(help="Topic of a bag's images.")] = None,
     imu_topic: Annotated[str | None, typer.Option(help="Topic of a bag's IMU.")] = None,
+    groundtruth_topic: Annotated[str | None, typer.Option(help="Topic of a bag's true poses, or none.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Say what a path holds, what a run makes of it and what that costs, without running anything."""
     from panobench.datasets.given import Given
     from panobench.datasets.probe import probe as look
 
-    given = Given(rate, calibration, topic, imu_topic)
+    given = Given(rate, calibration, topic, imu_topic, groundtruth_topic)
     found = look(path, dataset=dataset, sequence=sequence, width=width, given=given)
     print(json.dumps(asdict(found), indent=2) if as_json else text(found))
+    if found.problem:
+        raise UnsupportedError(found.problem)
 
 
 def text(found: Probe) -> str:
@@ -46,7 +51,9 @@ def text(found: Probe) -> str:
     def add(label: str, value: str) -> None:
         lines.append(f"{label:14}{value}")
 
-    if found.dataset:
+    for number, line in enumerate(found.contents):
+        add("" if number else "topics", line)
+    if found.dataset and found.sequence:
         others = [name for name in found.sequences if name != found.sequence]
         more = f"; also {', '.join(others[:6])}{', ...' if len(others) > 6 else ''}" if others else ""
         add("sequence", f"{found.sequence}{more}")

@@ -11,12 +11,16 @@ from panobench.errors import UsageError
 
 @dataclass(frozen=True)
 class Given:
-    """rate: images a second. calibration: a file, FILE#CAMERA for one of several. topic, imu_topic: of a bag."""
+    """rate: images a second. calibration: a file, FILE#CAMERA for one of several. topics: of a bag.
+
+    groundtruth_topic may be "none".
+    """
 
     rate: float | None = None
     calibration: str | None = None
     topic: str | None = None
     imu_topic: str | None = None
+    groundtruth_topic: str | None = None
 
     def __post_init__(self) -> None:
         if self.rate is not None and not 0 < self.rate <= 1e5:

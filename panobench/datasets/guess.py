@@ -7,16 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from panobench.datasets.archive import is_archive, unpacked
+from panobench.datasets.bags.files import BagFile
+from panobench.datasets.bags.layout import find_bags, is_bag_name
 from panobench.datasets.folder import find_sequences, is_sequence
 from panobench.datasets.image_folder import image_folders
 from panobench.datasets.images import IMAGE_SUFFIXES, list_images
 from panobench.datasets.listing import children, visible
+from panobench.datasets.palvio_calibration import OVERRIDE, published_calibration
 from panobench.datasets.reconstructions import TRANSFORMS, colmap_model
 from panobench.datasets.video import VIDEO_SUFFIXES
-from panobench.errors import DatasetError
-
-#: Endings of bags; a ROS 2 bag may be a folder of .db3 or .mcap files.
-BAG_SUFFIXES = (".bag", ".db3", ".mcap")
+from panobench.errors import DatasetError, PanobenchError
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,20 @@ def _video(path: Path, what: str) -> Answer:
 
 
 def _bag_file(path: Path) -> Answer:
-    return _bag(path, "a bag") if path.suffix.lower() in BAG_SUFFIXES else None
+    return _bag(path, "a bag") if is_bag_name(path.name) else None
 
 
 def _bag(path: Path, what: str) -> Answer:
-    return "palvio", what
+    """PALVIO's is known by its topics, or by a palvio.yaml beside it that says which of its topics are which."""
+    if (path.parent / OVERRIDE).is_file():
+        return "palvio", what
+    try:
+        found = BagFile(path)
+    except (PanobenchError, ImportError):  # opening it says what is wrong, or what to install
+        return "bag", what
+    if published_calibration().image_topic in found.topics:
+        return "palvio", f"{what} with PALVIO's topics"
+    return "bag", f"{what} of {found.kind}"
 
 
 def _transforms_file(path: Path) -> Answer:
@@ -98,8 +107,9 @@ def _pattern(dataset: str, what: str, *patterns: str) -> Callable[[Path], Answer
 
 
 def _bags(path: Path) -> Answer:
-    bags = [p for p in children(path) if p.suffix.lower() in BAG_SUFFIXES and p.is_file()]
-    return _bag(path, f"{len(bags)} bags" if len(bags) > 1 else "a bag") if bags else None
+    """Bags directly here, or in folders: ROS 2 has a folder for each."""
+    bags = list(find_bags(path).values())
+    return _bag(bags[0], f"{len(bags)} bags" if len(bags) > 1 else "a bag") if bags else None
 
 
 def _colmap(path: Path) -> Answer:

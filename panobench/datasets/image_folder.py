@@ -94,17 +94,19 @@ def camera_of(
     """What took images of ``size`` (w, h), the files that say so, and a remark."""
     remark: tuple[str, ...] = ()
     if calibration is None:
-        beside = [p for p in _beside(image.parent) if p.is_file()]
-        if not beside:
+        beside = calibration_beside(image.parent) or calibration_beside(image.parent.parent)
+        if beside is None:
             return _panorama(size, image), (), ()
-        calibration = str(beside[0])
-        remark = (f"the camera is from {beside[0].name}, which lies beside the images",)
+        calibration = str(beside)
+        remark = (f"the camera is from {beside.name}, which lies beside the images",)
     path, _ = split_choice(calibration)
     return for_size(inspect_calibration(calibration).camera, size, path), (path,), remark
 
 
-def _beside(folder: Path) -> list[Path]:
-    return [place / f"{name}{ending}" for place in (folder, folder.parent) for name in _NAMES for ending in _ENDINGS]
+def calibration_beside(folder: Path) -> Path | None:
+    """A file in ``folder`` whose name says that it is the camera's calibration."""
+    names = (folder / f"{name}{ending}" for name in _NAMES for ending in _ENDINGS)
+    return next((path for path in names if path.is_file()), None)
 
 
 def _panorama(size: tuple[int, int], image: Path) -> Camera:

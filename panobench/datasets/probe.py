@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from panobench.datasets.bags.dataset import Bag
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.given import Given
 from panobench.datasets.guess import Guess, guess
@@ -38,7 +39,7 @@ class Probe:
 
     what: in words; dataset: its adapter, "" for a file that is no recording. sequence: the one described, of
     ``sequences``. size, given: (w, h) as stored and as methods get it. truth: frames that have a true pose.
-    command: what to try.
+    command: what to try. contents: a line for each topic of a bag. problem: why a run cannot read it as it is.
     """
 
     path: str
@@ -60,6 +61,8 @@ class Probe:
     remarks: list[str] = field(default_factory=list)
     costs: list[Cost] = field(default_factory=list)
     command: str = ""
+    contents: list[str] = field(default_factory=list)
+    problem: str = ""
 
 
 def probe(
@@ -81,11 +84,21 @@ def probe(
             raise
         return described
     opened = open_dataset(found.dataset, found.root, given)
-    names = opened.sequences()
-    chosen = opened.open(sequence)
-    report = Probe(str(path), found.what, found.dataset, str(found.root), names, chosen.name)
-    _describe(report, chosen, width)
-    report.command = _command(report, path, dataset, sequence, given or Given(), width)
+    report = Probe(str(path), found.what, found.dataset, str(found.root), opened.sequences())
+    if isinstance(opened, Bag):
+        report.contents = opened.contents(sequence)
+    try:
+        chosen = opened.open(sequence)
+    except PanobenchError as error:
+        if not report.contents:
+            raise
+        report.problem = str(error)
+    else:
+        report.sequence = chosen.name
+        _describe(report, chosen, width)
+    report.command = _command(path, dataset, sequence, given or Given(), width)
+    if report.problem and "--calibration" in report.problem and (given or Given()).calibration is None:
+        report.command += " --calibration FILE"
     return report
 
 
@@ -112,12 +125,11 @@ def _describe(report: Probe, sequence: FrameSequence, width: int) -> None:
     ]
 
 
-def _command(report: Probe, path: Path, dataset: str | None, sequence: str | None, given: Given, width: int) -> str:
+def _command(path: Path, dataset: str | None, sequence: str | None, given: Given, width: int) -> str:
     words = ["panobench", "run", "--method", "sparse", "--root", str(path)]
     words += ["--dataset", dataset] if dataset is not None else []
     words += ["--sequence", sequence] if sequence is not None else []
-    for name in ("rate", "calibration", "topic", "imu_topic"):
-        value = getattr(given, name)
+    for name, value in asdict(given).items():
         words += [f"--{name.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value] if value else []
     words += ["--width", str(width)] if width != 512 else []
     return shlex.join(words)

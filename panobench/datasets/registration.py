@@ -53,6 +53,15 @@ DATASETS: tuple[DatasetSpec, ...] = (
         layout="PROJECT/transforms.json and the images it names",
     ),
     DatasetSpec(
+        "bag",
+        "any bag of ROS 1 or ROS 2: images, with IMU, true poses and camera if it has them",
+        "panobench.datasets.bags.dataset:Bag",
+        requires=("rosbags",),
+        publisher="you",
+        layout="FILE.bag, FILE.db3 or FILE.mcap, a folder of ROS 2 (metadata.yaml), or a folder of such; --topic, "
+        "--imu-topic, --groundtruth-topic; 2:1 panoramas, CameraInfo or --calibration FILE",
+    ),
+    DatasetSpec(
         "palvio",
         "panoramic annular camera, IMU and motion capture on a drone (LF-VIO)",
         "panobench.datasets.palvio:Palvio",

@@ -27,7 +27,9 @@ def touch(root: Path, *names: str) -> Path:
         (["frames.csv", "camera.yaml", "images/a.png"], "folder", "a panobench sequence"),
         (["x/frames.csv", "y/frames.csv"], "folder", "2 panobench sequences"),
         (["groundtruth.txt", "images/a.png"], "synpano", "a SynPano scene"),
-        (["a.bag", "._a.bag"], "palvio", "a bag"),
+        (["a.bag", "._a.bag"], "bag", "a bag"),
+        (["a.bag", "palvio.yaml"], "palvio", "a bag"),
+        (["walk/metadata.yaml", "walk/walk_0.db3", "talk/talk_0.mcap"], "bag", "2 bags"),
         (["mav0/cam0/data.csv"], "tum-vi", "a recording in TUM-VI's layout"),
         (["transform.json", "images/a.png"], "omniblender", "a scene of OmniBlender"),
         (["transforms.json", "images/a.png"], "nerfstudio", "a project of nerfstudio"),
@@ -45,7 +47,14 @@ def test_folders(tmp_path: Path, files: list[str], dataset: str, what: str) -> N
 
 @pytest.mark.parametrize(
     ("file", "dataset"),
-    [("w.MP4", "video"), ("w.insv", "video"), ("w.bag", "palvio"), ("transforms.json", "nerfstudio")],
+    [
+        ("w.MP4", "video"),
+        ("w.insv", "video"),
+        ("w.bag", "bag"),
+        ("w.mcap", "bag"),
+        ("w.DB3", "bag"),
+        ("transforms.json", "nerfstudio"),
+    ],
 )
 def test_files(tmp_path: Path, file: str, dataset: str) -> None:
     assert guess(touch(tmp_path, file) / file).dataset == dataset

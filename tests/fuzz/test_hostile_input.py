@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from targets import material
 
-from panobench.datasets.bag import BagFile
+from panobench.datasets.bags.files import BagFile
 from panobench.datasets.folder import Folder
 from panobench.datasets.images import decode_image, encode_image, read_depth, read_size
 from panobench.errors import CalibrationError, DatasetError, InputError, PanobenchError
@@ -130,14 +130,14 @@ def with_chunk(bag: bytes, packed: bytes) -> bytes:
 def test_a_compressed_chunk_of_a_bag_may_not_unpack_to_gigabytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("panobench.datasets.bag.MAX_CHUNK_BYTES", 1 << 20)
+    monkeypatch.setattr("panobench.datasets.bags.files.MAX_CHUNK_BYTES", 1 << 20)
     bag = material("bag").documents[1]
     assert b"compression=bz2" in bag
     path = tmp_path / "a.bag"
 
     def read() -> list[Any]:
         opened = BagFile(path)
-        return list(opened.records(opened.connections("/image", "sensor_msgs/msg/Image")))
+        return list(opened.records({"/image"}))
 
     path.write_bytes(bag)
     assert len(read()) == 3
@@ -191,7 +191,7 @@ def test_a_bag_s_topics_name_no_files(tmp_path: Path) -> None:
     opened = BagFile(tmp_path / "a.bag")
     assert list(opened.topics) == ["../.."]
     with pytest.raises(DatasetError, match="has no topic '/image'"):
-        opened.connections("/image", "sensor_msgs/msg/Image")
+        opened.need("/image", ("sensor_msgs/msg/Image",))
 
 
 class Malicious:

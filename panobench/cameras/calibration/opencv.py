@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from panobench.cameras.base import Array, Camera
 from panobench.cameras.calibration.choice import choose, doubts, others
 from panobench.cameras.calibration.result import Calibration, ReadOptions
-from panobench.cameras.calibration.tables import matrix, read_table, rigid
+from panobench.cameras.calibration.tables import as_table, matrix, read_table, rigid
 from panobench.cameras.calibration.text import Table
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.mei import MeiCamera
@@ -75,6 +75,20 @@ def read(path: Path, options: ReadOptions) -> Calibration:
     notes = others(name, list(found)) if len(found) > 1 else []
     pose = _body_T_cam(found[name].table)
     return Calibration(camera, NAME, notes, pose, doubts=[*doubts(path, options.camera, name, list(found)), *doubt])
+
+
+def read_camera_info(values: dict[str, Any], path: Path, *, rectified: bool = False) -> Calibration:
+    """A sensor_msgs/CameraInfo with the names of its YAML file. rectified: of images without distortion (P, not K).
+
+    Raises CalibrationError that names ``path``.
+    """
+    values = dict(values)
+    P = values.pop("projection_matrix", [])
+    if rectified and len(P) == 12 and P[0]:
+        values |= {"camera_matrix": [*P[0:3], *P[4:7], *P[8:11]], "distortion_coefficients": []}
+        values["distortion_model"] = "plumb_bob"
+    camera, doubt = _camera(_Keys(as_table(values, path), ""))
+    return Calibration(camera, NAME, doubts=doubt)
 
 
 def _plain(key: str) -> str:
@@ -211,5 +225,14 @@ def _refuse_part_images(table: Table) -> None:
         if key in table and table.number(key) > 1:
             raise table.error("binned images are not read: calibrate the images as they are", key)
     roi: Any = table.get("roi")
-    if isinstance(roi, Table) and any(roi.number(k, 0.0) for k in ("x_offset", "y_offset", "width", "height")):
+    if isinstance(roi, Table) and not _whole(roi, table):
         raise table.error("a region of interest is not read: calibrate the images as they are", "roi")
+
+
+def _whole(roi: Table, table: Table) -> bool:
+    """Whether a region of interest is the whole image: all zero, or its size."""
+    if roi.number("x_offset", 0.0) or roi.number("y_offset", 0.0):
+        return False
+    size = roi.number("width", 0.0), roi.number("height", 0.0)
+    keys = _Keys(table, "")
+    return not any(size) or size == tuple(float(v) for v in _size(keys))
