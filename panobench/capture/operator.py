@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 #: Full strides per second.
 STRIDES = 0.9
 #: Where the camera is in the person's axes and how far below it the hand is: from nearest to on a stick.
-_NEAR, _FAR = np.array([0.10, 0.24, 1.60]), np.array([0.16, 0.55, 2.30])
-_GRIP_NEAR, _GRIP_FAR = 0.055, 0.75
+_NEAR, _FAR = np.array([0.10, 0.22, 1.58]), np.array([0.16, 0.55, 2.30])
+_GRIP_NEAR, _GRIP_FAR = 0.06, 0.75
 _STICK = Material(PLAIN, (0.03, 0.03, 0.03))
 
 
@@ -47,7 +47,7 @@ class Operator:
         camera = camera + (1 - 0.6 * near) * (0.03 * slow + 0.012 * step)
         grip = _GRIP_FAR + near * (_GRIP_NEAR - _GRIP_FAR)
         shake = 0.006 * np.array([np.sin(2.3 * t + p[6]), np.sin(1.7 * t + p[7]), 0.0])
-        hand = camera - [0.0, 0.03, grip] + shake
+        hand = camera - [0.0, 0.02, grip] + shake
         posture = Posture(
             stride=stride,
             lean=(0.05 + 0.02 * np.sin(2 * stride), 0.03 * np.sin(stride)),

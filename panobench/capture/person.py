@@ -15,7 +15,11 @@ from panobench.capture.solids import CHECK, CLOTH, HAIR, PLAIN, SKIN, STRIPES, B
 Array = NDArray[np.float64]
 
 UPPER_ARM, FOREARM, THIGH, SHIN = 0.29, 0.26, 0.43, 0.42
-HIP, SHOULDER, HEAD = 0.93, 1.42, 1.63
+HIP, SHOULDER = 0.93, 1.42
+#: Share of the forearm up to the wrist, and from there to the middle of the palm.
+WRIST, PALM = 0.86, 0.055
+#: Where the fingers of a hand point that holds something above it.
+_HELD_OUT = np.array([-0.15, 0.985, 0.08])
 
 _SKINS = ((0.55, 0.33, 0.24), (0.42, 0.24, 0.16), (0.22, 0.12, 0.08), (0.62, 0.40, 0.31))
 _HAIRS = ((0.05, 0.03, 0.02), (0.16, 0.09, 0.04), (0.02, 0.02, 0.02), (0.32, 0.30, 0.28), (0.35, 0.22, 0.08))
@@ -178,29 +182,30 @@ def _arm(figure: _Figure, trunk: Array, side: float) -> None:
     add, looks, posture = figure.solids, figure.looks, figure.posture
     shoulder = _at(trunk, (0.185 * side, -0.01, SHOULDER - 0.01))
     if side > 0 and posture.hand is not None:
-        hand = np.array(posture.hand)
-        elbow, hand = _reach(shoulder, hand, np.array([0.5 * side, -0.3, -1.0]))
+        wrist = np.array(posture.hand) - PALM * _HELD_OUT
+        elbow, wrist = _reach(shoulder, wrist, np.array([0.5 * side, -0.3, -1.0]))
+        hand = wrist + PALM * _HELD_OUT
     else:
         swing = -0.8 * posture.swing * np.sin(posture.stride + (0.0 if side < 0 else np.pi))
         down = np.array([0.12 * side, np.sin(swing), -np.cos(swing)])
         elbow = shoulder + UPPER_ARM * down / np.linalg.norm(down)
         fore = swing + 0.35
         hand = elbow + FOREARM * np.array([0.02 * side, np.sin(fore), -np.cos(fore)])
+        wrist = elbow + (hand - elbow) * WRIST
     add.cone(shoulder, elbow, 0.06, 0.047, looks.top)
-    wrist = elbow + (hand - elbow) * 0.86
     cuff = elbow + (wrist - elbow) * 0.8
     add.cone(elbow, cuff, 0.048, 0.038, looks.top)
     add.cone(elbow, wrist, 0.034, 0.026, looks.skin)
     _hand(figure, wrist, hand, side)
 
 
-def _reach(shoulder: Array, hand: Array, pole: Array) -> tuple[Array, Array]:
-    """Elbow and hand of an arm that reaches for ``hand``; the elbow points towards ``pole``."""
-    to = hand - shoulder
+def _reach(shoulder: Array, wrist: Array, pole: Array) -> tuple[Array, Array]:
+    """Elbow and wrist of an arm that reaches for ``wrist``; the elbow points towards ``pole``."""
+    to, forearm = wrist - shoulder, WRIST * FOREARM
     length = float(np.linalg.norm(to))
-    reach = min(length, 0.99 * (UPPER_ARM + FOREARM))
+    reach = min(length, 0.99 * (UPPER_ARM + forearm))
     to = to / length
-    along = (UPPER_ARM**2 - FOREARM**2 + reach**2) / (2 * reach)
+    along = (UPPER_ARM**2 - forearm**2 + reach**2) / (2 * reach)
     out = pole - (pole @ to) * to
     elbow = shoulder + along * to + np.sqrt(max(UPPER_ARM**2 - along**2, 0.0)) * out / np.linalg.norm(out)
     return elbow, shoulder + reach * to
@@ -216,7 +221,7 @@ def _hand(figure: _Figure, wrist: Array, hand: Array, side: float) -> None:
     norm = float(np.linalg.norm(across))
     across = np.array([side, 0.0, 0.0]) if norm < 0.1 else across / norm
     palm = np.cross(across, along)  # out of the palm: up when the hand holds something
-    centre = wrist + 0.055 * along
+    centre = wrist + PALM * along
     add.ellipsoid(centre, (0.042, 0.054, 0.019), np.column_stack([across, along, palm]), skin)
     curl = posture.fingers * (1.25 if holds else 0.5)
     for k in range(4):

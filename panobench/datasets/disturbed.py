@@ -27,8 +27,8 @@ EXAMPLES = (
     "blur-10ms+turn-200",
     "stitch-41mm+lenses-0.3",
     "gait+levelled+operator-15",
-    "h264-0.1",
-    "operator-15+walkers-3+rolling-15ms+stitch-41mm+lenses+gait+h264-0.1",
+    "h264-0.2",
+    "operator-15+walkers-3+rolling-15ms+stitch-41mm+lenses+gait+h264",
 )
 
 

@@ -12,10 +12,10 @@ from panobench.masks.panorama import Panorama
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Votes taken for the scene before anything is seen.
-PRIOR = 0.6
+#: Votes before anything is seen, and what they say: the scene rather.
+PRIOR, PRIOR_VOTE = 0.6, -0.3
 #: A region goes as far as evidence above LOW and has some above HIGH.
-LOW, HIGH = 0.05, 0.3
+LOW, HIGH = -0.1, 0.3
 #: Share of the sphere of strong evidence below which a region is chance, and of the largest hole that is filled.
 LEAST_SEED, LARGEST_HOLE = 2e-3, 0.02
 #: Gaps up to this many pixels of the panorama are closed; what is found is widened by so many.
@@ -24,7 +24,7 @@ CLOSE, WIDEN = 3, 1
 
 def hidden_region(p: Panorama, votes: Array, weights: Array) -> Mask:
     """(H, W): directions that do not show the scene."""
-    evidence = p.mean((votes / (weights + PRIOR)).astype(np.float32), 3)
+    evidence = p.mean(((votes + PRIOR * PRIOR_VOTE) / (weights + PRIOR)).astype(np.float32), 3)
     region = evidence > LOW
     strong = np.where(evidence > HIGH, p.area, 0.0)
     parts, count = components(region)
