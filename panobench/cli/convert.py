@@ -7,6 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from panobench.cli.given_options import (
+    CalibrationOption,
+    ImuTopicOption,
+    RateOption,
+    TopicOption,
+    TruthTopicOption,
+)
 from panobench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -25,6 +32,11 @@ def convert(
     ],
     root: Annotated[Path | None, typer.Option(help="Where the dataset is; default $PANOBENCH_DATA/DATASET.")] = None,
     sequence: Annotated[list[str] | None, typer.Option(help="Sequence; may be repeated. Default: all.")] = None,
+    rate: RateOption = None,
+    calibration: CalibrationOption = None,
+    topic: TopicOption = None,
+    imu_topic: ImuTopicOption = None,
+    groundtruth_topic: TruthTopicOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the sequences; default DATASET-CAMERA here.")] = None,
     width: Annotated[int | None, typer.Option(help="Width in pixels; default keeps the resolution.")] = None,
     views: Annotated[
@@ -45,13 +57,15 @@ def convert(
     rendered by the target camera. An interrupted conversion continues when the same command is run again.
     """
     from panobench.datasets.export import ExportOptions, check_writable
+    from panobench.datasets.given import Given
     from panobench.datasets.open import open_dataset
     from panobench.datasets.writer import FORMATS
 
     if image_format not in FORMATS:
         raise UsageError(f"--format {image_format}: choose one of {', '.join(FORMATS)}")
     _check_views(to, views)
-    source = open_dataset(dataset, root)
+    given = Given(rate, calibration, topic, imu_topic, groundtruth_topic)
+    source = open_dataset(dataset, root, given)
     names = list(sequence) if sequence else source.sequences()
     folder = out or Path(f"{dataset}-{Path(to).stem.replace(':', '-')}")
     check_writable(folder)

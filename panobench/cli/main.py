@@ -8,7 +8,7 @@ import io
 import os
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -57,6 +57,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names that are not UTF-8, terminals that have not all letters
             stream.reconfigure(errors="backslashreplace")
+    with _lossy_stderr():
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     code = _guarded(arguments)
     try:
         if sys.stdout is not None:
@@ -67,6 +72,39 @@ def run(arguments: Sequence[str] | None = None) -> int:
         _drop_output()
         return _complain(_OUTPUT_LOST.format(error.strerror or error), 2)
     return code
+
+
+class _Lossy:
+    """Standard error whose loss ends no command: a full disk behind it, a reader that has gone."""
+
+    def __init__(self, stream: io.TextIOWrapper) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextlib.contextmanager
+def _lossy_stderr() -> Iterator[None]:
+    """``sys.stderr`` as ``_Lossy``; one that was closed before the start goes nowhere, and not to standard output."""
+    stream = sys.stderr
+    if stream is None:
+        with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stderr(nowhere):
+            yield
+    elif isinstance(stream, io.TextIOWrapper):
+        with contextlib.redirect_stderr(_Lossy(stream)):  # type: ignore[type-var]
+            yield
+    else:
+        yield
 
 
 #: What a command has done is done when its output cannot be written.
@@ -115,8 +153,7 @@ def _drop_output() -> None:
 
 
 def _complain(message: str, code: int) -> int:
-    with contextlib.suppress(OSError):  # a full disk behind standard error: the code says it
-        print(f"panobench: {' '.join(message.split())}", file=sys.stderr)
+    print(f"panobench: {' '.join(message.split())}", file=sys.stderr)
     return code
 
 
@@ -127,7 +164,7 @@ def _one_line_warning(message: Warning | str, category: type[Warning], *_: Any, 
         line = f"{category.__name__}: {message}"
     else:
         return
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):  # also raised outside of a command
         print(line, file=sys.stderr)
 
 

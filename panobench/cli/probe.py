@@ -12,6 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from panobench.cli.given_options import (
+    CalibrationOption,
+    ImuTopicOption,
+    RateOption,
+    TopicOption,
+    TruthTopicOption,
+)
 from panobench.errors import UnsupportedError
 
 if TYPE_CHECKING:
@@ -26,11 +33,11 @@ def probe(
     dataset: Annotated[str | None, typer.Option(help="Dataset adapter; default: guessed.")] = None,
     sequence: Annotated[str | None, typer.Option(help="Sequence; default: the first.")] = None,
     width: Annotated[int, typer.Option(min=16, help="Width of the images given to methods, for the cost.")] = 512,
-    rate: Annotated[float | None, typer.Option(help="Images a second, where they do not say.")] = None,
-    calibration: Annotated[str | None, typer.Option(help="What took the images: a calibration file.")] = None,
-    topic: Annotated[str | None, typer.Option(help="Topic of a bag's images.")] = None,
-    imu_topic: Annotated[str | None, typer.Option(help="Topic of a bag's IMU.")] = None,
-    groundtruth_topic: Annotated[str | None, typer.Option(help="Topic of a bag's true poses, or none.")] = None,
+    rate: RateOption = None,
+    calibration: CalibrationOption = None,
+    topic: TopicOption = None,
+    imu_topic: ImuTopicOption = None,
+    groundtruth_topic: TruthTopicOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Say what a path holds, what a run makes of it and what that costs, without running anything."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from panobench.cli.given_options import TopicOption
 from panobench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ def view(
     ] = None,
     dataset: Annotated[str | None, typer.Option(help="Dataset adapter; default: guessed.")] = None,
     sequence: Annotated[str | None, typer.Option(help="Sequence; default: the first.")] = None,
+    topic: TopicOption = None,
     frames: Annotated[int, typer.Option(min=1, max=60, help="Frames of a sequence to show.")] = 4,
     fov: Annotated[str | None, typer.Option(help="Field of view of --as, 120 or 120x60.")] = None,
     width: Annotated[int | None, typer.Option(help="Width of --as in pixels.")] = None,
@@ -61,7 +63,7 @@ def view(
     if is_map(source):
         opened: FrameSequence = MapSequence(source)
     else:
-        opened = open_anything(source, camera, dataset, sequence)
+        opened = open_anything(source, camera, dataset, sequence, topic)
     chosen = _spread(len(opened), frames)
     choices = _choices(as_, opened, width, fov)
     rows = _rows(opened, chosen, choices)

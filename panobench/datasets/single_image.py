@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.datasets.base import FrameSequence
+from panobench.datasets.given import Given
 from panobench.datasets.guess import guess
 from panobench.datasets.images import IMAGE_SUFFIXES, read_image, read_size
 from panobench.datasets.open import open_sequence
 from panobench.errors import DatasetError, UnknownNameError, UsageError
+from panobench.plugins import registry
+from panobench.specs import DatasetSpec
 
 _SIMPLE = ("erp", "pal", "cubemap", "pinhole:DEGREES", "fisheye:DEGREES")
 
@@ -95,16 +98,26 @@ def _from_angle(model: str, argument: str, size: tuple[int, int]) -> Camera:
 
 
 def open_anything(
-    path: Path, camera: str | None = None, dataset: str | None = None, sequence: str | None = None
+    path: Path,
+    camera: str | None = None,
+    dataset: str | None = None,
+    sequence: str | None = None,
+    topic: str | None = None,
 ) -> FrameSequence:
-    """An image seen by ``camera``, or a sequence, whose dataset is guessed unless it is named."""
+    """An image seen by ``camera``, or a sequence, whose dataset is guessed unless it is named.
+
+    camera: a calibration file for images and bags whose own does not say what took them. topic: of a bag.
+    """
     if not path.exists():
         raise DatasetError("no such file or folder", path)
     if dataset is None and path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES:
         return SingleImage(path, camera_of_image(camera, read_size(path), path))
-    if camera is not None:
-        raise UsageError("--camera is for single images; a sequence has its own camera")
-    if dataset is not None:
-        return open_sequence(dataset, sequence, path)
-    found = guess(path)
-    return open_sequence(found.dataset, sequence, found.root)
+    name, root = dataset, path
+    if name is None:
+        found = guess(path)
+        name, root = found.dataset, found.root
+    if camera is not None and "calibration" not in registry().get(DatasetSpec, name).load().takes:
+        raise UsageError(
+            f"--camera is for single images, folders of images and bags; a sequence of '{name}' has its own camera"
+        )
+    return open_sequence(name, sequence, root, given=Given(calibration=camera, topic=topic))

@@ -45,6 +45,28 @@ def test_a_full_standard_error_is_no_crash() -> None:
         assert command("run", "--method", "nothing", stdout=subprocess.DEVNULL, stderr=full).returncode == 2
 
 
+@pytest.mark.parametrize("lost", ["full", "closed", "nobody reads"])
+def test_a_command_goes_on_without_standard_error(tmp_path: Path, lost: str) -> None:
+    """What it says beside the result (a guessed data set, notes, warnings) is not worth losing it for."""
+    folder = tmp_path / "walk"
+    folder.mkdir()
+    for i in range(3):
+        (folder / f"{i}.png").write_bytes(cv2.imencode(".png", TinySequence(n=3).image(i))[1].tobytes())
+    words = ["convert", "images", "--root", str(folder), "--to", "erp", "--width", "64", "--out", str(tmp_path / "out")]
+    options: dict[str, Any] = {"stdout": subprocess.PIPE}
+    if lost == "closed":
+        options["preexec_fn"] = lambda: os.close(2)
+    read, write = os.pipe()
+    os.close(read)
+    with open("/dev/full", "w") as full:
+        options |= {"stderr": full} if lost == "full" else {"stderr": write} if lost == "nobody reads" else {}
+        done = command(*words, **options)
+    os.close(write)
+    assert done.returncode == 0
+    assert b"nothing says when" not in done.stdout
+    assert list(tmp_path.glob("out/**/frames.csv"))
+
+
 def test_a_closed_standard_output_and_a_reader_that_goes() -> None:
     assert command("list", stdout=subprocess.DEVNULL, preexec_fn=lambda: os.close(1)).returncode == 0
     read, write = os.pipe()

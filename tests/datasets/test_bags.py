@@ -588,6 +588,24 @@ def test_probing_a_bag_of_an_unknown_lens(tmp_path: Path, capsys: pytest.Capture
     assert len(said.err.strip().splitlines()) == 1
 
 
+def test_other_commands_take_the_same_options(tmp_path: Path) -> None:
+    def fill(recording: Recording) -> None:
+        for t in samples.times(2):
+            recording.add("/left", recording.messages.image(t, np.full((48, 64), 90, np.uint8), "mono8"))
+            recording.add("/right", recording.messages.image(t, np.full((48, 64), 200, np.uint8), "mono8"))
+
+    path = write(tmp_path / "walk", fill, "db3")
+    lens = tmp_path / "lens.yaml"
+    lens.write_text("model: pinhole\nwidth: 64\nheight: 48\nfx: 40\nfy: 40\ncx: 32\ncy: 24\n")
+    out = tmp_path / "out"
+    words = ["--topic", "/right", "--calibration", str(lens), "--to", "erp", "--width", "64", "--out", str(out)]
+    assert panobench(["convert", "bag", "--root", str(path), *words, "--quiet"]) == 0
+    (picture,) = [p for p in sorted(out.glob("**/images/*.png"))][:1]
+    assert cv2.imread(str(picture)).max() == 200
+    assert panobench(["view", str(path), "--topic", "/left", "--camera", str(lens), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "walk.sheet.png").is_file()
+
+
 def test_names_of_bags() -> None:
     assert layout.bag_name(Path("a/walk.db3.zstd")) == "walk"
     assert layout.bag_name(Path("a/2024.05.01.bag")) == "2024.05.01"
