@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 
+import bag_targets
 import calibration_targets
 import dataset_targets
 import network_targets
@@ -11,7 +12,7 @@ import run_targets
 import trajectory_targets
 from mutate import Material
 
-_GROUPS = (calibration_targets, trajectory_targets, dataset_targets, run_targets, network_targets)
+_GROUPS = (calibration_targets, trajectory_targets, dataset_targets, bag_targets, run_targets, network_targets)
 TARGETS = {target.name: target for group in _GROUPS for target in group.TARGETS}
 
 
