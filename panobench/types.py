@@ -117,6 +117,7 @@ class Estimate:
     trajectory: poses of the frames it tracked, at those frames' times (a subset of the input times).
     keyframes:  indices of input frames used as keyframes.
     metric:     True if the scale is meant to be metres (then ATE without scale alignment is measured too).
+    gravity_aligned: True if the world's z axis is meant to point up (then its error is measured; contract 1.1).
     map:        the final map, if there is one to store.
     frames:     per-frame numbers keyed by frame index, written to frames.csv (loss, iterations, ...).
     depth:      the depth the map was started with, for the report (see ``DepthEstimate``).
@@ -126,6 +127,7 @@ class Estimate:
     trajectory: Trajectory
     keyframes: list[int] = field(default_factory=list)
     metric: bool = False
+    gravity_aligned: bool = False
     map: GaussianMapLike | None = None
     frames: dict[int, dict[str, float]] = field(default_factory=dict)
     depth: DepthEstimate | None = None

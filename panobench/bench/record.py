@@ -177,19 +177,21 @@ class TruthRecord(JsonRecord):
     """Ground truth and the frames it belongs to.
 
     frames: how many of the frames planned have a true pose. span_s: first and last time of the truth as recorded;
-    frames_span_s: of the frames. time_offset_s: what was added to the truth's times; offset_within_s: offsets this far
+    frames_span_s: of the frames. up: the direction against gravity in its world.
+    time_offset_s: what was added to the truth's times; offset_within_s: offsets this far
     away fit the motion nearly as well.
     """
 
     frames: int = 0
     span_s: list[float] | None = None
     frames_span_s: list[float] | None = None
+    up: list[float] | None = optional()
     time_offset_s: float | None = optional()
     offset_within_s: float | None = optional()
 
     def __post_init__(self) -> None:
-        for name in ("span_s", "frames_span_s"):
-            if len(getattr(self, name) or ()) != 2:
+        for name, length in (("span_s", 2), ("frames_span_s", 2), ("up", 3)):
+            if len(getattr(self, name) or ()) != length:
                 setattr(self, name, None)
 
 
@@ -268,7 +270,8 @@ class RunRecord(JsonRecord):
     """Everything in run.json.
 
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
-    metric: the method says that its scale is metres. notes: metric -> why it is None or odd. keyframes: frame indices.
+    metric: the method says that its scale is metres; gravity_aligned: that its world's z axis points up.
+    notes: metric -> why it is None or odd. keyframes: frame indices.
     mask: what hid part of the view, if anything did.
     groundtruth: whether a frame has any; groundtruth_scaled: in metres.
     truth, verdict: None for runs stored before there were such.
@@ -284,6 +287,7 @@ class RunRecord(JsonRecord):
     method: MethodRecord = field(default_factory=MethodRecord)
     protocol: str = ""
     metric: bool = False
+    gravity_aligned: bool = False
     metrics: dict[str, float | None] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
     timing: TimingRecord = field(default_factory=TimingRecord)

@@ -75,8 +75,15 @@ class Protocol:
 class StoredSequence(FrameSequence):
     """Times and ground truth of a stored run; its images are not kept."""
 
-    def __init__(self, times: NDArray[np.float64], truth: Trajectory | None, scaled: bool = True) -> None:
+    def __init__(
+        self,
+        times: NDArray[np.float64],
+        truth: Trajectory | None,
+        scaled: bool = True,
+        up: NDArray[np.float64] | None = None,
+    ) -> None:
         self.name, self.dataset, self.times, self._truth, self._scaled = "stored", "stored", times, truth, scaled
+        self._up = up
 
     def image(self, index: int) -> NDArray[np.uint8]:
         raise InputError("a stored run keeps no images")
@@ -88,6 +95,10 @@ class StoredSequence(FrameSequence):
     @property
     def groundtruth_scaled(self) -> bool:
         return self._scaled
+
+    @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return self._up
 
 
 def rescore(folder: Path, protocol: Protocol) -> RunRecord:
@@ -105,10 +116,11 @@ def rescore(folder: Path, protocol: Protocol) -> RunRecord:
     estimate = estimate.select(np.flatnonzero(estimate.times >= times[0] + protocol.skip_s - 1e-6))
     keyframes = [k for k in record.keyframes if 0 <= k < len(times)]
     truth = _optional_tum(folder / GROUNDTRUTH) if (folder / GROUNDTRUTH).is_file() else None
+    up = None if record.truth is None or record.truth.up is None else np.array(record.truth.up)
     keyframes_only = record.imported is not None and record.imported.keyframes
     data = MetricInput(
-        StoredSequence(times, truth, record.groundtruth_scaled),
-        Estimate(estimate, keyframes=keyframes, metric=record.metric),
+        StoredSequence(times, truth, record.groundtruth_scaled, up),
+        Estimate(estimate, keyframes=keyframes, metric=record.metric, gravity_aligned=record.gravity_aligned),
         list(range(len(times))),
         alignment=protocol.alignment,
         keyframes_only=keyframes_only,

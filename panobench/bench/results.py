@@ -71,6 +71,7 @@ def run_record(
         ),
         protocol=PROTOCOL_VERSION,
         metric=bool(estimate.metric),
+        gravity_aligned=bool(estimate.gravity_aligned),
         metrics=scores.metrics,
         notes=scores.notes,
         timing=timing,

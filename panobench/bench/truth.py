@@ -40,11 +40,13 @@ def truth_record(sequence: ChosenFrames, offset: ClockOffset | None = None) -> T
     truth, recorded = sequence.groundtruth, sequence.recorded_truth
     if truth is None and recorded is None:
         return None
+    up = sequence.world_up
     whole = recorded if recorded is not None and len(recorded) else truth
     return TruthRecord(
         frames=0 if truth is None else len(truth),
         span_s=None if whole is None else [float(whole.times[0]), float(whole.times[-1])],
         frames_span_s=[float(sequence.times[0]), float(np.asarray(sequence.times)[-1])],
+        up=None if up is None else [float(v) for v in up],
         time_offset_s=None if offset is None else offset.offset_s,
         offset_within_s=None if offset is None else offset.within_s,
     )

@@ -85,6 +85,10 @@ class ChosenFrames(FrameSequence):
         return self._inner.groundtruth_scaled
 
     @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return self._inner.world_up
+
+    @property
     def imu(self) -> Imu | None:
         return self._inner.imu
 

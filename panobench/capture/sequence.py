@@ -152,6 +152,10 @@ class CapturedSequence(FrameSequence):
         return self.source.groundtruth if self._room is None else Trajectory(self.times, self._room.T_wc)
 
     @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return self.source.world_up
+
+    @property
     def imu(self) -> Imu | None:
         """The source's; none when the camera moves otherwise than it did."""
         p = self.parts

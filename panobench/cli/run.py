@@ -92,6 +92,9 @@ def exit_code(status: str) -> int:
 #: Lines of the summary: label, name of the number, factor, format.
 _LINES = (
     ("ATE", "ate_rmse_m", 1e3, "{:.2f} mm"),
+    ("ATE without scale", "ate_se3_rmse_m", 1e3, "{:.2f} mm"),
+    ("  scale error", "scale_error_percent", 1.0, "{:.3f} %"),
+    ("gravity error", "gravity_error_deg", 1.0, "{:.3f} deg"),
     ("ATE of keyframes", "ate_keyframes_rmse_m", 1e3, "{:.2f} mm"),
     ("ATE / path", "ate_percent", 1.0, "{:.3f} %"),
     ("RPE", "rpe_trans_rmse_m", 1e3, "{:.2f} mm"),

@@ -57,6 +57,11 @@ class FrameSequence(ABC):
         return True
 
     @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        """The direction against gravity (3,), a unit vector in the ground truth's world; None where it is not known."""
+        return None
+
+    @property
     def recorded_truth(self) -> Trajectory | None:
         """The ground truth as recorded, camera-to-world, with stamps of its own; None where it has those of frames."""
         return None

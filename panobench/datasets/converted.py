@@ -56,6 +56,10 @@ class ConvertedSequence(FrameSequence):
         return self.source.groundtruth_scaled
 
     @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return self.source.world_up
+
+    @property
     def recorded_truth(self) -> Trajectory | None:
         truth = self.source.recorded_truth
         return None if truth is None else Trajectory(truth.times, self.reprojector.poses(truth.T_wc))

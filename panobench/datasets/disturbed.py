@@ -70,6 +70,10 @@ class DisturbedSequence(FrameSequence):
         return None if self._disturb.chosen.yaw else self.source.recorded_truth
 
     @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return self.source.world_up
+
+    @property
     def imu(self) -> Imu | None:
         """The source's; none when the camera is turned, for the body does not turn with it."""
         return None if self._disturb.chosen.yaw else self.source.imu

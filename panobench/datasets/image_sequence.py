@@ -23,7 +23,8 @@ class ImageSource:
     """The files behind an ``ImageSequence``.
 
     native: camera of the stored images. depth: frame index -> depth file. inputs: further files read (ground truth,
-    calibration), for the checksums. remarks: see ``FrameSequence.remarks``. novel: reads the novel views, full size.
+    calibration), for the checksums. up: against gravity in the ground truth's world, where that is known. remarks: see
+    ``FrameSequence.remarks``. novel: reads the novel views, full size.
     """
 
     dataset: str
@@ -35,6 +36,7 @@ class ImageSource:
     groundtruth: Trajectory | None = None
     groundtruth_scaled: bool = True
     recorded_truth: Trajectory | None = None
+    up: tuple[float, float, float] | None = None
     imu: Imu | None = None
     depth: Mapping[int, Path] = field(default_factory=dict)
     inputs: tuple[Path, ...] = ()
@@ -128,6 +130,10 @@ class ImageSequence(FrameSequence):
     @property
     def recorded_truth(self) -> Trajectory | None:
         return self.source.recorded_truth
+
+    @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return None if self.source.up is None else np.array(self.source.up)
 
     @property
     def imu(self) -> Imu | None:

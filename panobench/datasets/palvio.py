@@ -33,6 +33,9 @@ from panobench.errors import DatasetError
 from panobench.geometry import make_pose, matrix_from_quaternion
 from panobench.types import Imu, Trajectory
 
+#: Motion capture has its z axis up.
+WORLD_UP = (0.0, 0.0, 1.0)
+
 
 def camera_truth(body: Trajectory, calibration: PalvioCalibration) -> Trajectory:
     """Camera poses at the times of the motion capture, which has the body's."""
@@ -63,6 +66,7 @@ def _read_bag(path: Path, name: str, calibration: PalvioCalibration) -> BagSourc
         recorded = camera_truth(body, calibration)
     return BagSource(
         dataset="palvio",
+        up=WORLD_UP,
         name=name,
         bag=bag,
         topic=named(bag, calibration.image_topic, IMAGES),
@@ -154,6 +158,7 @@ def _read_extracted(folder: Path, name: str, calibration: PalvioCalibration) -> 
         times=times,
         images=[images[i] for i in order],
         groundtruth=None if recorded is None else truth_at_frames(recorded, times),
+        up=WORLD_UP,
         recorded_truth=recorded,
         imu=imu,
         inputs=tuple(p for p in (truth_path, imu_path) if p.is_file()),

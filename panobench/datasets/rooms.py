@@ -121,6 +121,10 @@ class RoomSequence(FrameSequence):
     def groundtruth(self) -> Trajectory | None:
         return Trajectory(self.times, self._renderer.T_wc)
 
+    @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return np.array([0.0, 0.0, 1.0])
+
     def novel_views(self) -> list[NovelView]:
         """Eight views away from the trajectory, without noise or disturbances."""
         import cv2

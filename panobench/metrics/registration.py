@@ -12,6 +12,8 @@ METRICS: tuple[MetricSpec, ...] = (
             "ate_rmse_m": "lower",
             "ate_keyframes_rmse_m": "lower",
             "ate_se3_rmse_m": "lower",
+            "scale_error_percent": "lower",
+            "gravity_error_deg": "lower",
             "ate_percent": "lower",
             "ate_rotation_rmse_deg": "lower",
             "rpe_trans_rmse_m": "lower",

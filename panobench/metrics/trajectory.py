@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3, umeyama
-from panobench.metrics.alignment import SAME_TIME_S, Matched, match, moves
+from panobench.metrics.alignment import SAME_TIME_S, Matched, match, moves, world_alignment
 from panobench.metrics.base import MetricInput
 from panobench.types import Trajectory
 
@@ -53,10 +53,13 @@ def trajectory_metrics(data: MetricInput) -> dict[str, float | None]:
     if not scaled:
         data.notes["ate_rmse_m"] = "the ground truth has no scale: ate_percent is the error in percent of its path"
         return values
+    if estimate.gravity_aligned:
+        values["gravity_error_deg"] = _gravity_error(matched, data)
     values["ate_rmse_m"] = ate
     values["rpe_trans_rmse_m"] = _rpe(aligned, segments, "translation_part")
     if estimate.metric and how == "sim3" and (rigid := align(matched, "se3")) is not None:
         values["ate_se3_rmse_m"] = _ape(rigid, "translation_part")
+        values["scale_error_percent"] = 100 * abs(1 / aligned.transform.scale - 1)
     keyframes = _keyframes(matched, data)
     aligned_keyframes = align(keyframes, how) if keyframes is not None else None
     if aligned_keyframes is not None:
@@ -106,6 +109,19 @@ def align(matched: Matched, how: Alignment) -> Aligned | None:
         sim3 = umeyama(matched.estimate.positions, matched.truth.positions, with_scale)
         moved = Trajectory(matched.estimate.times, sim3.apply_poses(matched.estimate.T_wc))
         return Aligned(truth, _evo(moved), sim3)
+
+
+def _gravity_error(matched: Matched, data: MetricInput) -> float | None:
+    """Degrees between the estimated world's z axis, rotated into the true world, and the true up direction.
+
+    The rotation is the mean one of the frames: that from positions alone is undefined on a straight path.
+    """
+    up = data.sequence.world_up
+    if up is None:
+        data.notes["gravity_error_deg"] = "the data set does not say which way is up in its ground truth"
+        return None
+    z = world_alignment(matched).R[:, 2]
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(z, up)), z @ up)))
 
 
 def _evo(trajectory: Trajectory) -> Any:

@@ -67,7 +67,13 @@ COST = (
     Quantity("peak_rss_bytes", "Peak memory", "MiB", "lower", scale=2**-20, digits=0, about="process tree"),
     Quantity("map_gaussians", "Map size", "Gaussians", "none", digits=0),
 )
+METRIC = (
+    Quantity("ate_se3_rmse_m", "ATE SE(3)", "mm", "lower", scale=1e3, about="without scale alignment; metric methods"),
+    Quantity("scale_error_percent", "Scale error", "%", "lower", digits=3, about="metric methods"),
+    Quantity("gravity_error_deg", "Gravity error", "deg", "lower", digits=3, about="gravity-aligned methods"),
+)
 ACCURACY = (
+    *METRIC,
     Quantity("ate_keyframes_rmse_m", "ATE keyframes", "mm", "lower", scale=1e3),
     Quantity("rpe_trans_rmse_m", "RPE", "mm", "lower", scale=1e3),
     Quantity("ate_percent", "ATE / path", "%", "lower", digits=3),
@@ -86,6 +92,7 @@ def run_tables(collection: Collection, published: Published | None = None) -> li
     works = {run.dataset for run in collection.runs if not failure(run)}
     for dataset in sorted({run.dataset for run in collection.runs}, key=lambda name: (name not in works, name)):
         tables.append(accuracy_table(dataset, grouped, published))
+    tables.append(metric_table(grouped))
     tables.append(quantity_table("rendering", "Rendering quality", RENDERING, grouped))
     tables.append(quantity_table("cost", "Cost", COST, grouped))
     tables.append(runs_table(collection, grouped))
@@ -126,6 +133,15 @@ def quantity_table(name: str, title: str, quantities: Sequence[Quantity], groupe
         rows += mark_ranks(columns, block)
     caption = "Mean over the sequences a method succeeded on, each the median of its repeats."
     return Table(name, title, caption, tuple(columns), tuple(rows))
+
+
+def metric_table(grouped: dict[Variant, list[Run]]) -> Table:
+    """Both errors of the methods that know their scale, after Sim(3) and after SE(3) alignment, and what tells them
+    apart.
+    """
+    known = {v: [r for r in runs if r.record.metric and not r.given_poses] for v, runs in grouped.items()}
+    ate = Quantity("ate_rmse_m", "ATE Sim(3)", "mm", "lower", scale=1e3, about="after alignment with scale")
+    return quantity_table("metric", "Methods that know their scale", (ate, *METRIC), known)
 
 
 def _mean_of_medians(runs: Sequence[Run], sequences: Sequence[str], quantity: Quantity) -> Cell:

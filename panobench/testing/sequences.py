@@ -104,6 +104,10 @@ class TinySequence(FrameSequence):
         return Trajectory(self.times, np.stack([self.pose_at(float(t)) for t in self.times]))
 
     @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return -GRAVITY / np.linalg.norm(GRAVITY)
+
+    @property
     def imu(self) -> Imu | None:
         """200 Hz, camera axes, noise-free, from central differences of the pose."""
         dt = 1e-3

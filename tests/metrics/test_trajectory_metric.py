@@ -49,8 +49,30 @@ def test_metric_methods_get_their_rigid_error_beside_the_common_one() -> None:
     # Umeyama without scale can only centre (the rotation stays the identity): the error is 0.1 of the spread
     assert metric["ate_rmse_m"] < 1e-9
     assert metric["scale"] == pytest.approx(1 / 1.1)
+    assert metric["scale_error_percent"] == pytest.approx(10)
+    assert "scale_error_percent" not in free
     assert metric["ate_se3_rmse_m"] == pytest.approx(0.1 * np.sqrt((centred**2).sum(axis=1).mean()), rel=1e-6)
     assert free["ate_rmse_m"] < 1e-12
+
+
+def test_the_error_of_gravity() -> None:
+    sequence, gt = truth()  # whose world has y down
+    levelled = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]) @ gt.T_wc[:, :3, :3]
+    tilted = so3_exp(np.deg2rad([1.5, -2.0, 0.0])) @ levelled
+    for R, error in ((levelled, 0.0), (tilted, 2.5)):
+        poses = make_pose(R, gt.positions @ (R[0] @ gt.T_wc[0, :3, :3].T).T)
+        values, _ = measure(Estimate(Trajectory(gt.times, poses), gravity_aligned=True), sequence)
+        assert values["gravity_error_deg"] == pytest.approx(error, abs=1e-6)
+    values, _ = measure(Estimate(gt), sequence)
+    assert "gravity_error_deg" not in values
+
+
+def test_gravity_is_not_judged_where_up_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TinySequence, "world_up", None)
+    sequence, gt = truth()
+    values, notes = measure(Estimate(gt, gravity_aligned=True), sequence)
+    assert values["gravity_error_deg"] is None
+    assert "which way is up" in notes["gravity_error_deg"]
 
 
 def test_evo_agrees_with_our_own_umeyama_under_noise() -> None:

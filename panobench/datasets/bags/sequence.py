@@ -27,7 +27,7 @@ class BagSource:
     """What a ``BagSequence`` is made of.
 
     native: camera of the stored images. recorded: true camera poses with their own stamps. inputs: further files read.
-    notes: for run.json.
+    up: against gravity in the world of these poses, where that is known. notes: for run.json.
     """
 
     dataset: str
@@ -38,6 +38,7 @@ class BagSource:
     native: Camera
     imu: Imu | None = None
     recorded: Trajectory | None = None
+    up: tuple[float, float, float] | None = None
     inputs: tuple[Path, ...] = ()
     notes: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
@@ -66,6 +67,10 @@ class BagSequence(FrameSequence):
     @property
     def recorded_truth(self) -> Trajectory | None:
         return self.source.recorded
+
+    @property
+    def world_up(self) -> NDArray[np.float64] | None:
+        return None if self.source.up is None else np.array(self.source.up)
 
     @property
     def imu(self) -> Imu | None:
