@@ -18,8 +18,11 @@ def visible(path: Path) -> bool:
 
 
 def children(folder: Path) -> list[Path]:
-    """The visible files and folders directly in ``folder``, in natural order."""
-    return natural_paths(p for p in folder.iterdir() if visible(p))
+    """The visible files and folders directly in ``folder``, in natural order. Raises DatasetError if it is not there."""
+    try:
+        return natural_paths(p for p in folder.iterdir() if visible(p))
+    except OSError as error:
+        raise DatasetError(f"the folder cannot be listed: {error.strerror}", folder) from None
 
 
 def one_of_each(images: list[Path]) -> list[Path]:
