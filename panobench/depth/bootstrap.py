@@ -1,10 +1,10 @@
 """First depth by structure from motion over the first frames: no network weights, and no scale.
 
 Frames are collected until they show parallax. Initial poses (``bootstrap_starts``) are refined together with depth
-(``bootstrap_solve``), and the solution is checked (``bootstrap_check``). After a failed check the estimator tries
-again with more frames, then with the other kind of initial poses, then from a later frame. If all attempts fail, it
-returns the failed solution that agrees best with itself, or a constant depth if nothing had parallax. Both have
-``ok = False``.
+(``bootstrap_solve``), and the solution is checked (``bootstrap_check``). If the check fails, the bundle-adjusted poses
+of the ``sparse`` method may confirm the solution, or are the initial poses of another. After that the estimator tries
+again with more frames, then from a later frame. If all attempts fail, it returns the failed solution that agrees best
+with itself, or a constant depth if nothing had parallax. Both have ``ok = False``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from panobench.cameras.base import Camera
 from panobench.depth.base import DepthEstimator
-from panobench.depth.bootstrap_check import check_solution, photometric_cost
+from panobench.depth.bootstrap_check import check_solution, compare_poses, photometric_cost
 from panobench.depth.bootstrap_solve import MEDIAN_DEPTH, OVERLAP_MIN, Solution, SolveOptions, Solver, spread_over_path
 from panobench.depth.bootstrap_starts import FlatStart, PoseStart, Start, TrackStart
 from panobench.geometry import invert_pose
@@ -74,6 +74,7 @@ class BootstrapDepth(DepthEstimator):
         self.frames: list[Frame] = []
         self.pyramids: list[list[F32]] = []
         self.starts: PoseStart = self._start_of(self.narrow)
+        self.tracks: TrackStart | None = None  # a wide view's second opinion, from its first failed attempt on
         self.parallax_factor, self.problems = 1.0, list[str]()
         self.attempts, self.restarts = 0, 0
         self.failed: list[tuple[float, str, DepthEstimate]] = []  # agreement, problem, estimate
@@ -88,6 +89,8 @@ class BootstrapDepth(DepthEstimator):
         unused = self.solver.fine.level  # levels above the fine working size are not kept
         self.pyramids.append([np.empty((0, 0), np.float32)] * unused + levels[unused:])
         self.starts.add(frame, self.pyramids)
+        if self.tracks is not None:
+            self.tracks.add(frame, self.pyramids)
         start, n = self.starts.start(), len(self.frames)
         if start is not None and self._has_parallax(start):
             exhausted = self.attempts + 1 >= o.attempts and not self.narrow
@@ -122,22 +125,41 @@ class BootstrapDepth(DepthEstimator):
         last: more frames would not help this first frame. final: there are no more frames.
         """
         found = self._attempt(start, self.starts)
+        if found is None and not self.narrow:
+            tracks = self._tracks()
+            found = self._attempt(tracks.start(), tracks)
         if found is None and not last:
             self._prepare_next_attempt()
             return None
-        self.starts.close()
-        if found is None:
-            other = self._start_of(not self.narrow)
-            for k, frame in enumerate(self.frames):
-                other.add(frame, self.pyramids[: k + 1])
-            found = self._attempt(other.start(), other)
-            other.close()
+        if found is None and self.narrow:
+            flat = self._start_of(tracks=False)
+            self._replay(flat)
+            found = self._attempt(flat.start(), flat)
+            flat.close()
+        self._close()
         # A later first frame helps against things that move, but not if the camera stands still.
         if found is None and not final and self.failed and self.restarts < self.options.restarts:
             self._restart()
             return None
         self.pyramids = []
         return found or self._fallback("; ".join(dict.fromkeys(self.problems)))
+
+    def _tracks(self) -> TrackStart:
+        """Feature tracks of all frames so far."""
+        if self.tracks is None:
+            self.tracks = TrackStart(self.camera, self.seed)
+            self._replay(self.tracks)
+        return self.tracks
+
+    def _replay(self, source: PoseStart) -> None:
+        for k, frame in enumerate(self.frames):
+            source.add(frame, self.pyramids[: k + 1])
+
+    def _close(self) -> None:
+        self.starts.close()
+        if self.tracks is not None:
+            self.tracks.close()
+            self.tracks = None
 
     def _restart(self) -> None:
         """Start again with the newest frame as the first one."""
@@ -177,6 +199,13 @@ class BootstrapDepth(DepthEstimator):
         check = check_solution(self.solver, pyramids, solution)
         problem = problem or check.problem()
         estimate = self._estimate(start, source, usable, solution)
+        if problem is not None and not self.narrow and check.confirmable:
+            opinion = compare_poses(estimate.T_wc, self._tracks().poses())
+            if opinion.confirms:
+                return replace(
+                    estimate, message=f"{estimate.message}; {problem}, but feature tracks find the same poses"
+                )
+            problem = f"{problem} (feature tracks: {opinion})"
         if problem is not None:
             self.problems.append(problem)
             self.failed.append((check.agreement, problem, estimate))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from panobench.depth.bootstrap_solve import HUBER, MEDIAN_DEPTH, Pose, Solution, Solver
+from panobench.geometry import so3_log
 from panobench.photometric.align import align, mean_cost
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import AlignOptions
@@ -17,6 +19,12 @@ FINE_HUBER = 0.02
 EXPLAINED_MAX = 0.7
 #: Early and late frames must find the same depth, to AGREE in its logarithm, in this share of the confident pixels.
 AGREEMENT_MIN, AGREE = 0.82, 0.15
+#: With less than that, but more than this, a second method can confirm the solution: where people move through the
+#: view, or the sky is white, many pixels have no depth, and the poses may be right all the same.
+CONFIRMABLE_MIN = 0.5
+#: It does if its positions, after Sim(3) alignment, are within this share of their spread about their mean, and its
+#: rotations within so many radians (RMS, both).
+CONFIRMED_MAX, CONFIRMED_RAD = 0.06, 0.01
 #: Depth hypotheses of the two sweeps that find out.
 CHECK_SHELLS = 40
 #: Least ratio of the 90th to the 10th percentile of depth.
@@ -36,6 +44,11 @@ class SolutionCheck:
     agreement: float
     spread: float
     pegged: float
+
+    @property
+    def confirmable(self) -> bool:
+        """Whether nothing is wrong, or nothing but an agreement that is somewhat too low."""
+        return replace(self, agreement=1.0).problem() is None and self.agreement > CONFIRMABLE_MIN
 
     def problem(self) -> str | None:
         """What is wrong, in one line, or None."""
@@ -62,6 +75,43 @@ def check_solution(solver: Solver, pyramids: list[list[F32]], solution: Solution
     return SolutionCheck(
         _unexplained(solver, pyramids, solution), _agreement(solver, pyramids, solution), float(high / low), pegged
     )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two methods' poses of the same frames: RMS distance over spread, RMS angle in radians, how many frames."""
+
+    distance: float
+    angle: float
+    frames: int
+
+    @property
+    def confirms(self) -> bool:
+        return self.frames >= 6 and self.distance < CONFIRMED_MAX and self.angle < CONFIRMED_RAD
+
+    def __str__(self) -> str:
+        return f"{100 * self.distance:.1f}% and {np.rad2deg(self.angle):.2f} deg apart over {self.frames} frames"
+
+
+def compare_poses(a: Mapping[int, Pose], b: Mapping[int, Pose]) -> Comparison:
+    """Poses T_wc by frame, each in its own world and scale, after Sim(3) alignment."""
+    common = sorted(set(a) & set(b))
+    if len(common) < 3:
+        return Comparison(float("inf"), float("inf"), len(common))
+    T_a, T_b = (np.stack([poses[i] for i in common]) for poses in (a, b))
+    p, q = T_a[:, :3, 3], T_b[:, :3, 3]
+    spread = np.sqrt(((q - q.mean(axis=0)) ** 2).sum(axis=1).mean())
+    if not spread > 0:
+        return Comparison(float("inf"), float("inf"), len(common))
+    # The worlds' rotation comes from the camera's rotations: a straight path leaves the turn about itself open.
+    relative = T_b[:, :3, :3] @ T_a[:, :3, :3].transpose(0, 2, 1)
+    u, _, vt = np.linalg.svd(relative.sum(axis=0))
+    R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    angles = np.linalg.norm(so3_log(R.T @ relative), axis=-1)
+    p, q = (p - p.mean(axis=0)) @ R.T, q - q.mean(axis=0)
+    scale = float((p * q).sum()) / max(float((p * p).sum()), 1e-12)
+    distance = np.sqrt(((scale * p - q) ** 2).sum(axis=1).mean()) / spread
+    return Comparison(float(distance), float(np.sqrt((angles**2).mean())), len(common))
 
 
 def _unexplained(solver: Solver, pyramids: list[list[F32]], solution: Solution) -> float:

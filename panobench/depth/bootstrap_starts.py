@@ -133,6 +133,11 @@ class TrackStart(PoseStart):
         self.position[frame.index] = len(pyramids) - 1
         self.method.track(frame)
 
+    def poses(self) -> dict[int, Pose]:
+        """T_wc of every frame that was tracked, by its number."""
+        session = self.method.session
+        return {} if session is None else {r.index: invert_pose(session.pose_of(r)) for r in session.records}
+
     def start(self) -> Start | None:
         from panobench.methods.sparse.pointmap import ACTIVE
 
