@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from panobench.bench.paper import load_published
 from panobench.errors import UnknownNameError, UsageError
 from panobench.report import privacy
+from panobench.report.choose import chosen_tables
 from panobench.report.collect import collect
 from panobench.report.exports import FORMATS, SUFFIXES, to_csv
 from panobench.report.model import Collection
@@ -28,6 +29,8 @@ def write_report(
     format: str | None = None,
     title: str | None = None,
     tables: Iterable[str] = (),
+    columns: Sequence[str] = (),
+    rename: Mapping[str, str] | None = None,
     with_published: bool = True,
     assets: bool = False,
     max_mb: float = 10.0,
@@ -35,8 +38,9 @@ def write_report(
 ) -> Collection:
     """Read ``runs`` (folders of runs or stores of them) and write the report to ``output``, whole or not at all.
 
-    format: "html", "latex", "csv", "markdown" or "json"; None takes it from the suffix. tables: names of the
-    tables wanted in an export (all). assets: put full-size pictures into a folder beside the HTML file. max_mb: what
+    format: "html", "latex", "csv", "parquet", "markdown" or "json"; None takes it from the suffix. tables: names of
+    the tables wanted in an export (all), ``columns`` those of their columns, ``rename`` what to call methods and
+    columns; see ``choose``. assets: put full-size pictures into a folder beside the HTML file. max_mb: what
     the HTML file may weigh, in megabytes; its pictures are shrunk to that end. hide_paths: show only the last
     part of absolute paths.
     Raises InputError for unusable input, UsageError for an unknown format or table, OutputError.
@@ -48,22 +52,19 @@ def write_report(
     if hide_paths:
         collection = privacy.hide_paths(collection)
     published = load_published() if with_published else None
+    content: str | bytes
     if kind == "html":
         from panobench.report.html import build_html
 
         folder = output.with_name(f"{output.stem}_assets") if assets else None
-        text = build_html(collection, title=title, published=published, assets=folder, max_bytes=round(max_mb * 1e6))
+        content = build_html(collection, title=title, published=published, assets=folder, max_bytes=round(max_mb * 1e6))
     else:
         built = build_tables(collection, published)
-        wanted = list(tables)
-        for name in wanted:
-            if name not in [t.name for t in built]:
-                raise UnknownNameError("table", name, [t.name for t in built])
-        chosen = [t for t in built if not wanted or t.name in wanted]
+        chosen = chosen_tables(built, list(tables), columns, rename)
         if kind == "csv" and len(chosen) > 1:
             return _write_csv(collection, chosen, output)
-        text = FORMATS[kind](chosen)
-    write_whole(output, text)
+        content = FORMATS[kind](chosen)
+    write_whole(output, content)
     return replace(collection, written=(output,))
 
 

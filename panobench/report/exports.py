@@ -1,4 +1,4 @@
-"""Write tables as LaTeX (booktabs), CSV, Markdown and JSON."""
+"""Write tables as LaTeX (booktabs), CSV, Parquet, Markdown and JSON."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import csv
 import io
 import json
 import re
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 
+from panobench.errors import UnavailableError
 from panobench.report.table_model import Cell, Column, Row, Table
 
 _LATEX = {
@@ -33,6 +36,11 @@ _LATEX = {
     "”": "''",
     "′": r"$'$",
     "†": r"$^\dagger$",
+    "…": r"\dots{}",
+    "×": r"$\times$",
+    "±": r"$\pm$",
+    "λ": r"$\lambda$",
+    "σ": r"$\sigma$",
 }
 
 
@@ -118,6 +126,7 @@ def _latex_table(table: Table, number: int = 1, count: int = 1) -> str:
         *([r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"] if wide else []),
         rf"\begin{{tabular}}{{{''.join('r' if c.numeric else 'l' for c in table.columns)}}}",
         r"\toprule",
+        *_group_lines(table),
         " & ".join(_latex_heading(c) for c in table.columns) + r" \\",
         r"\midrule",
     ]
@@ -131,6 +140,21 @@ def _latex_table(table: Table, number: int = 1, count: int = 1) -> str:
     notes = table.notes if number == count else ()
     lines += [rf"\par\smallskip\parbox{{\linewidth}}{{\footnotesize {latex_text(note)}}}" for note in notes]
     return "\n".join([*lines, rf"\end{{{environment}}}", ""])
+
+
+def _group_lines(table: Table) -> list[str]:
+    """A line above the headings with what several columns have in common, and rules below it."""
+    spans: list[tuple[str, int, int]] = []  # name, first column from 1, last
+    for j, column in enumerate(table.columns, 1):
+        if spans and spans[-1][0] == column.group:
+            spans[-1] = (column.group, spans[-1][1], j)
+        else:
+            spans.append((column.group, j, j))
+    if not any(name for name, _, _ in spans):
+        return []
+    words = [rf"\multicolumn{{{b - a + 1}}}{{c}}{{{latex_text(name)}}}" for name, a, b in spans]
+    rules = [rf"\cmidrule(lr){{{a}-{b}}}" for name, a, b in spans if name]
+    return [" & ".join(words) + r" \\", "".join(rules)]
 
 
 def _latex_cell(row: Row, j: int) -> str:
@@ -193,6 +217,8 @@ def to_csv(tables: Sequence[Table]) -> str:
     names = list(dict.fromkeys(name for table in tables for row in table.rows for name in _about(table, row)))
     if any(column.sequence for table in tables for column in table.columns) and "sequence" not in names:
         names.append("sequence")
+    if any(column.group for table in tables for column in table.columns) and "dataset" not in names:
+        names.append("dataset")
     stream = io.StringIO()
     writer = csv.DictWriter(stream, [*_IDENTITY, *names, *_MEASURE], restval="", lineterminator="\n")
     writer.writeheader()
@@ -218,9 +244,12 @@ def _about(table: Table, row: Row) -> dict[str, str]:
 
 
 def _measure(table: Table, column: Column, cell: Cell) -> dict[str, str]:
-    sequence = {"sequence": column.key} if column.sequence else {}
-    quantity = "ate_rmse" if column.sequence or (table.name.startswith("ate-") and column.key == "mean") else column.key
-    if column.key == "mean":
+    key = column.key.removeprefix(f"{column.group}/")
+    sequence = {"sequence": key} if column.sequence else {}
+    sequence |= {"dataset": column.group} if column.group else {}
+    accuracy = table.name == "ate" or table.name.startswith("ate-")
+    quantity = "ate_rmse" if column.sequence or (accuracy and key == "mean") else key
+    if key == "mean":
         quantity += "_geometric_mean"
     return {
         **sequence,
@@ -248,6 +277,29 @@ def csv_text(word: str) -> str:
     return word
 
 
+def to_parquet(tables: Sequence[Table]) -> bytes:
+    """The long form of ``to_csv`` with numbers as numbers, by pandas and whichever Parquet engine it finds.
+
+    Raises UnavailableError without pandas or an engine.
+    """
+    try:
+        import pandas
+
+        table = pandas.read_csv(io.StringIO(to_csv(tables)), keep_default_na=False, dtype=str)
+        for name in ("value", "tracked", "repeats", "seed", "width"):
+            if name in table:
+                table[name] = pandas.to_numeric(table[name].replace("", None), errors="coerce")
+        table["failed"] = table["failed"] == "1"
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "table.parquet"
+            table.to_parquet(path, index=False)
+            return path.read_bytes()
+    except ImportError as error:
+        raise UnavailableError(
+            "Parquet needs pandas and fastparquet or pyarrow: pip install 'panobench[parquet]'"
+        ) from error
+
+
 def to_json(tables: Sequence[Table]) -> str:
     """Everything in the tables, for programs; the schema has a version."""
     content = {"schema": "panobench-tables-1", "tables": [asdict(table) for table in tables]}
@@ -255,7 +307,8 @@ def to_json(tables: Sequence[Table]) -> str:
 
 
 def _heading(column: Column) -> str:
-    return f"{column.label} [{column.unit}]" if column.unit else column.label
+    label = f"{column.group}, {column.label}" if column.group else column.label
+    return f"{label} [{column.unit}]" if column.unit else label
 
 
 def _marker(row: Row, *, latex: bool = False) -> str:
@@ -264,10 +317,19 @@ def _marker(row: Row, *, latex: bool = False) -> str:
     return "" if not words else rf" \textit{{({text})}}" if latex else f" *({text})*"
 
 
-FORMATS: dict[str, Callable[[Sequence[Table]], str]] = {
+FORMATS: dict[str, Callable[[Sequence[Table]], str | bytes]] = {
     "latex": to_latex,
     "csv": to_csv,
     "markdown": to_markdown,
     "json": to_json,
+    "parquet": to_parquet,
 }
-SUFFIXES = {".html": "html", ".htm": "html", ".tex": "latex", ".csv": "csv", ".md": "markdown", ".json": "json"}
+SUFFIXES = {
+    ".html": "html",
+    ".htm": "html",
+    ".tex": "latex",
+    ".csv": "csv",
+    ".md": "markdown",
+    ".json": "json",
+    ".parquet": "parquet",
+}

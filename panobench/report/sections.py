@@ -167,8 +167,9 @@ def _unique_labels(runs: Sequence[Run], label_of: Mapping[int, str]) -> list[str
     return out
 
 
-def cost_charts(grouped: Mapping[Variant, Sequence[Run]], data: dict[str, Any]) -> list[Chart]:
-    points = [
+def speed_points(grouped: Mapping[Variant, Sequence[Run]]) -> list[dict[str, Any]]:
+    """Accuracy and speed of every run that did not fail and had to find its poses."""
+    return [
         {
             "label": variant.label,
             "sequence": run.sequence,
@@ -180,8 +181,12 @@ def cost_charts(grouped: Mapping[Variant, Sequence[Run]], data: dict[str, Any]) 
         for run in runs
         if not failure(run) and not run.given_poses
     ]
+
+
+def cost_charts(grouped: Mapping[Variant, Sequence[Run]], data: dict[str, Any]) -> list[Chart]:
+    """Accuracy against speed, and peak memory."""
     charts: list[Chart] = []
-    scatter = figures.accuracy_speed_figure(points)
+    scatter = figures.accuracy_speed_figure(speed_points(grouped))
     if scatter:
         data["figures"]["cost-speed"] = scatter
         charts.append(Chart("cost-speed", "Accuracy against speed", "Down and to the right is better", size="wide"))

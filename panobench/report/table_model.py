@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from panobench.bench.statistics import Summary
@@ -20,7 +20,8 @@ NOT_RUN = "–"
 class Column:
     """A column: ``key`` for machines, ``label`` and ``unit`` for people, ``better`` "lower", "higher" or "none".
 
-    sequence: the column is one sequence's, and the table is about one quantity.
+    sequence: the column is one sequence's, and the table is about one quantity. group: what stands above several
+    columns, in tables of several datasets.
     """
 
     key: str
@@ -30,6 +31,7 @@ class Column:
     numeric: bool = True
     about: str = ""
     sequence: bool = False
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -152,6 +154,15 @@ def drop_empty_columns(table: Table) -> Table:
     ]
     rows = tuple(replace(r, cells=tuple(r.cells[j] for j in keep)) for r in table.rows)
     return replace(table, columns=tuple(table.columns[j] for j in keep), rows=rows)
+
+
+def renamed(label: str, names: Mapping[str, str]) -> str:
+    """A label with another name: of the whole label, or of its first part, the method's name."""
+    if label in names:
+        return names[label]
+    method, dot, rest = label.partition(" · ")
+    bare = method.removesuffix(" †")
+    return names.get(bare, bare) + method[len(bare) :] + dot + rest
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:

@@ -1,0 +1,1 @@
+"""Figures for papers, drawn by matplotlib from the runs and studies of a report."""
