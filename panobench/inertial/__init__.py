@@ -1,0 +1,1 @@
+"""Inertial samples beside any visual trajectory: checks, initialisation, the visual-inertial fit, dead reckoning."""

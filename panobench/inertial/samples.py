@@ -1,0 +1,183 @@
+"""Inertial samples made ready: sorted, in SI units, with their noise, and what was found wrong with them.
+
+What cannot be mended is said in one line, and the samples are not used. Axes, signs and the mounting cannot be judged
+here; ``rotation`` and ``initialise`` do that with the camera's motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.types import Imu
+
+Array = NDArray[np.float64]
+
+STANDARD_GRAVITY = 9.80665
+#: Slowest rate that can follow a walk, Hz.
+RATE_MIN = 45.0
+#: Longest interval between samples that is interpolated, in usual intervals and in seconds.
+GAP_INTERVALS, GAP_S = 4.0, 0.03
+#: As many samples in a row at the largest value that was ever measured are saturated.
+SATURATED_RUN = 3
+#: No sensor's range ends below this: rad/s, m/s^2.
+GYRO_RANGE, ACCEL_RANGE = 1.5, 1.8 * STANDARD_GRAVITY
+#: Share of saturated samples from which the samples are not used.
+SATURATED_MAX = 0.02
+#: White noise is taken for at least this: rad/s/sqrt(Hz) and m/s^2/sqrt(Hz).
+GYRO_FLOOR, ACCEL_FLOOR = 1e-4, 1e-3
+
+
+class InertialError(Exception):
+    """The samples cannot be used; the message says why in one line. Never leaves this package's callers."""
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """Densities: gyro rad/s/sqrt(Hz), accel m/s^2/sqrt(Hz), and of the biases' random walks, per s and sqrt(Hz)."""
+
+    gyro: float
+    accel: float
+    gyro_walk: float = 2e-4
+    accel_walk: float = 1e-3
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples that can be used.
+
+    times (N,): s, increasing, on the camera's clock. gyro, accel (N, 3): rad/s and m/s^2 in body axes. T_body_cam
+    (4, 4): pose of the camera on the body. gravity: its magnitude, m/s^2. usable (N - 1,): intervals between two
+    samples that may be integrated, the others are gaps. remarks: what was found and mended.
+    """
+
+    times: Array
+    gyro: Array
+    accel: Array
+    T_body_cam: Array
+    gravity: float
+    noise: ImuNoise
+    usable: NDArray[np.bool_]
+    remarks: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def shifted(self, seconds: float) -> Samples:
+        """With every time later by ``seconds``."""
+        return replace(self, times=self.times + seconds)
+
+    def covers(self, begin: Array, end: Array) -> NDArray[np.bool_]:
+        """(M,) whether the samples cover the time from each ``begin`` (M,) to ``end`` (M,) without a gap."""
+        gaps = np.concatenate([[0], np.cumsum(~self.usable)])
+        first = np.searchsorted(self.times, begin, side="right") - 1
+        last = np.searchsorted(self.times, end, side="left")
+        inside = (first >= 0) & (last < len(self.times))
+        first, last = np.clip(first, 0, len(gaps) - 1), np.clip(last, 0, len(gaps) - 1)
+        return np.asarray(inside & (gaps[last] == gaps[first]))
+
+    def between(self, begin: float, end: float) -> tuple[Array, Array, Array]:
+        """Means over the pieces that the samples' times cut [begin, end] into, and the pieces' lengths.
+
+        Returns accel (P, 3), gyro (P, 3), seconds (P,). The values are linear between two samples.
+        """
+        inside = self.times[np.searchsorted(self.times, begin, "right") : np.searchsorted(self.times, end, "left")]
+        times = np.concatenate([[begin], inside, [end]])
+        k = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2)
+        share = ((times - self.times[k]) / (self.times[k + 1] - self.times[k]))[:, None]
+        accel = (1 - share) * self.accel[k] + share * self.accel[k + 1]
+        gyro = (1 - share) * self.gyro[k] + share * self.gyro[k + 1]
+        seconds = np.diff(times)
+        keep = seconds > 1e-9
+        return ((accel[1:] + accel[:-1]) / 2)[keep], ((gyro[1:] + gyro[:-1]) / 2)[keep], seconds[keep]
+
+
+def usable_samples(imu: Imu, frame_times: Array) -> Samples:
+    """The samples, ready for use with frames at ``frame_times`` (F,) in s.
+
+    Raises InertialError if there are too few or too slow, if they do not overlap the frames, are no numbers, are
+    saturated for long, or if their unit is not known.
+    """
+    remarks: list[str] = []
+    times, gyro, accel = _sorted(imu, remarks)
+    step = float(np.median(np.diff(times)))
+    if step > 1 / RATE_MIN:
+        raise InertialError(f"the IMU has {1 / step:.0f} samples a second; {RATE_MIN:.0f} are the least that help")
+    overlap = min(times[-1], frame_times[-1]) - max(times[0], frame_times[0])
+    if overlap < 0.5 * (frame_times[-1] - frame_times[0]):
+        raise InertialError(
+            f"the IMU's samples are from {times[0]:.2f} to {times[-1]:.2f} s, the frames from {frame_times[0]:.2f} to "
+            f"{frame_times[-1]:.2f} s: less than half is covered"
+        )
+    accel = _in_si(accel, remarks)
+    saturated = _saturated(gyro, GYRO_RANGE) | _saturated(accel, ACCEL_RANGE)
+    if saturated.mean() > SATURATED_MAX:
+        raise InertialError(f"{saturated.mean():.0%} of the IMU's samples are saturated")
+    if saturated.any():
+        remarks.append(f"{int(saturated.sum())} samples of the IMU are saturated and left out")
+    usable = np.diff(times) <= max(GAP_INTERVALS * step, GAP_S)
+    if not usable.all():
+        longest = float(np.diff(times).max())
+        remarks.append(f"the IMU has {int((~usable).sum())} gaps, the longest {longest:.2f} s")
+    usable &= ~(saturated[1:] | saturated[:-1])
+    T_body_cam = np.eye(4) if imu.T_body_cam is None else np.asarray(imu.T_body_cam, np.float64)
+    noise = ImuNoise(max(white_noise(gyro, step), GYRO_FLOOR), max(white_noise(accel, step), ACCEL_FLOOR))
+    gravity = imu.gravity or STANDARD_GRAVITY
+    return Samples(times, gyro, accel, T_body_cam, gravity, noise, usable, tuple(remarks))
+
+
+def white_noise(values: Array, step: float) -> float:
+    """Density of the white noise in samples (N, 3) that are ``step`` s apart, in their unit/sqrt(Hz).
+
+    By the third differences, in which motion that is slow against the rate cancels; their variance is 20 times that of
+    the noise. The median makes it robust.
+    """
+    third = np.diff(values, 3, axis=0)
+    sigma = np.median(np.abs(third), axis=0) / 0.6745 / np.sqrt(20.0) if len(third) else np.zeros(3)
+    return float(np.sqrt(np.mean(sigma**2) * step))
+
+
+def _sorted(imu: Imu, remarks: list[str]) -> tuple[Array, Array, Array]:
+    times = np.asarray(imu.times, np.float64)
+    gyro, accel = np.asarray(imu.gyro, np.float64), np.asarray(imu.accel, np.float64)
+    finite = np.isfinite(times) & np.isfinite(gyro).all(axis=1) & np.isfinite(accel).all(axis=1)
+    if not finite.all():
+        remarks.append(f"{int((~finite).sum())} samples of the IMU are no numbers and left out")
+    times, gyro, accel = times[finite], gyro[finite], accel[finite]
+    if (np.diff(times) <= 0).any():
+        times, first = np.unique(times, return_index=True)
+        remarks.append("the IMU's samples are not in the order of time, or repeat; they were sorted")
+        gyro, accel = gyro[first], accel[first]
+    if len(times) < 20:
+        raise InertialError(f"the IMU has {len(times)} usable samples")
+    return times, gyro, accel
+
+
+def _in_si(accel: Array, remarks: list[str]) -> Array:
+    """Specific force in m/s^2; it is in g if at rest it is about one."""
+    size = float(np.median(np.linalg.norm(accel, axis=1)))
+    if 0.75 * STANDARD_GRAVITY < size < 1.3 * STANDARD_GRAVITY:
+        return accel
+    if 0.75 < size < 1.3:
+        remarks.append(f"the accelerometer measures {size:.2f} at rest: it is taken to be in g, not m/s^2")
+        return accel * STANDARD_GRAVITY
+    if 750 < size < 1300:
+        remarks.append(f"the accelerometer measures {size:.0f} at rest: it is taken to be in milli-g, not m/s^2")
+        return accel * (STANDARD_GRAVITY / 1000)
+    hint = "; gravity seems to have been taken out of it" if size < 0.6 * STANDARD_GRAVITY else ""
+    raise InertialError(f"the accelerometer measures {size:.3g} at rest, neither 9.8 m/s^2 nor 1 g{hint}")
+
+
+def _saturated(values: Array, least: float) -> NDArray[np.bool_]:
+    """(N,) samples in a run of equal values at the end of an axis' range, which is at ``least`` or beyond."""
+    out = np.zeros(len(values), bool)
+    for size in np.abs(values).T:
+        if size.max() < least:
+            continue
+        at = size >= size.max() * (1 - 1e-6)
+        run = np.convolve(at, np.ones(SATURATED_RUN, np.int64))[: len(at)] >= SATURATED_RUN
+        for back in range(SATURATED_RUN):
+            out[: len(out) - back] |= run[back:]
+    return out
