@@ -13,9 +13,7 @@ import typer
 
 
 def study(
-    name: Annotated[
-        str, typer.Argument(help="fov, ablation, iterations, basin, robustness, or a plugin's: see panobench list.")
-    ],
+    name: Annotated[str, typer.Argument(help="A study, as `panobench list studies` names it.")],
     out: Annotated[Path, typer.Option(help="Folder for its runs and its result, study.json.")],
     quick: Annotated[bool, typer.Option("--quick", help="A small version, under two minutes on two cores.")] = False,
     set: Annotated[
@@ -28,7 +26,7 @@ def study(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the study's study.json, and nothing else.")] = False,
 ) -> None:
-    """Regenerate one of the paper's tables or figures; `panobench report DIR` shows it."""
+    """Run a study: one of the paper's tables or figures, or another; `panobench report DIR` shows it."""
     from panobench.bench.config import parse_settings
     from panobench.bench.study_record import STUDY_JSON
     from panobench.bench.suite import parse_retry
