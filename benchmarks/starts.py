@@ -159,8 +159,9 @@ def main() -> None:
             with options.json.open("a") as lines:
                 lines.write(json.dumps(asdict(found)) + "\n")
     right, passed = [r for r in results if r.right], [r for r in results if r.ok]
-    print(f"{len(results)} recordings: {len(passed)} passed their check, {sum(not r.right for r in passed)} of those are "
-          f"wrong; {len(right)} are right; {np.median([r.frames for r in results]):.0f} frames in the median")  # fmt: skip
+    wrong, frames = sum(not r.right for r in passed), np.median([r.frames for r in results])
+    print(f"{len(results)} recordings: {len(passed)} passed their check, {wrong} of those are wrong; {len(right)} are "
+          f"right; {frames:.0f} frames in the median")  # fmt: skip
     depths = [r.depth for r in right if r.depth is not None]
     if depths:
         print(f"depth within {100 * DEPTH_OFF:.0f}% in {100 * np.median(depths):.0f}% of the view in the median")
