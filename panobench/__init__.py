@@ -19,6 +19,7 @@ _EXPORTS = {
     "panobench.bench.request": ("RunRequest",),
     "panobench.bench.study_record": ("StudyResult",),
     "panobench.cameras.base": ("Camera",),
+    "panobench.cameras.rig": ("Rig", "RigLens"),
     "panobench.datasets.base": ("Dataset", "FrameSequence", "Sequence"),
     "panobench.depth.base": ("DepthEstimator",),
     "panobench.errors": (

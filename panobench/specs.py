@@ -106,7 +106,8 @@ class MethodSpec(Spec):
     cameras: camera kinds it accepts, in order of preference. needs: of "rgb", "imu", "depth", "poses".
     config: "module:Dataclass" with its options; presets: name -> values that differ from the defaults.
     deterministic: the same seed on the same machine gives the same answer to the bit. frame_masks: it honours
-    ``Frame.mask``; for other methods what is hidden in any frame is hidden in all of them.
+    ``Frame.mask``; for other methods what is hidden in any frame is hidden in all of them. rigs: it takes the pictures
+    of several lenses with a centre each (``Frame.lenses``); other methods get them stitched to a panorama.
     """
 
     kind: ClassVar[str] = "method"
@@ -121,6 +122,7 @@ class MethodSpec(Spec):
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     deterministic: bool = True
     frame_masks: bool = False
+    rigs: bool = False
     contract: str = CONTRACT_VERSION
 
 

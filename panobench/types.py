@@ -40,6 +40,7 @@ class Frame:
     ``depth`` is only filled for runs that declared the dataset's depth as an input (oracle).
     ``mask`` (H, W) is where this frame shows the scene, besides the camera's mask; None: wherever the camera sees. What
     it hides is black. Methods whose spec says ``frame_masks`` honour it.
+    ``lenses`` has one picture (H, W, 3) for each lens of ``MethodContext.rig``, for methods that take rigs.
     """
 
     index: int
@@ -49,6 +50,7 @@ class Frame:
     depth: NDArray[np.float32] | None = None
     name: str = ""
     mask: NDArray[np.bool_] | None = None
+    lenses: tuple[NDArray[np.uint8], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from panobench.bench.observer import Observer
 from panobench.bench.request import RunRequest
 from panobench.bench.setup import oracle_depth, set_up_run
 from panobench.bench.tracking import Tracked, track_batch, track_online
+from panobench.cameras.rig import Rig
 from panobench.datasets.base import FrameSequence
 from panobench.errors import PanobenchError
 from panobench.methods.base import BatchMethod, MethodContext
@@ -70,6 +71,13 @@ class Backwards(FrameSequence):
             self._block = {k: self._inner.image(k) for k in range(max(last - self._size + 1, 0), last + 1)}
         return self._block[last]
 
+    @property
+    def rig(self) -> Rig | None:
+        return self._inner.rig
+
+    def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
+        return self._inner.lens_images(self._count - 1 - index)
+
     def frame_name(self, index: int) -> str:
         return self._inner.frame_name(self._count - 1 - index)
 
@@ -105,7 +113,10 @@ def check_trajectory(
         sequence: Any = Backwards(setup.sequence, given) if check == BACKWARDS else setup.sequence
         with tempfile.TemporaryDirectory(prefix="check-", dir=folder, ignore_cleanup_errors=True) as work:
             context = MethodContext(
-                seed=request.seed, work=Path(work), make_depth=setup.depth.make if setup.depth else None
+                seed=request.seed,
+                work=Path(work),
+                make_depth=setup.depth.make if setup.depth else None,
+                rig=sequence.rig if setup.spec.rigs else None,
             )
             with one_blas_thread():
                 if isinstance(setup.method, BatchMethod):

@@ -108,7 +108,7 @@ def rescore(folder: Path, protocol: Protocol) -> RunRecord:
     record = read_record(folder)
     if record.status not in (*_JUDGED, RunStatus.INTERRUPTED.value):
         return replace(record, protocol=protocol.name)
-    times = _frame_times(folder / FRAMES)
+    times = frame_times(folder / FRAMES)
     estimate = _optional_tum(folder / TRAJECTORY)
     if len(times) == 0:
         raise InputError("no frames to score", folder / FRAMES)
@@ -153,7 +153,8 @@ def _trajectory_keys() -> list[str]:
     return list(next(m for m in METRICS if m.name == "trajectory").keys)
 
 
-def _frame_times(path: Path) -> NDArray[np.float64]:
+def frame_times(path: Path) -> NDArray[np.float64]:
+    """Times (N,) of a run's frames from its frames.csv. Raises InputError."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             times = np.array([float(row["time"]) for row in csv.DictReader(file)], dtype=np.float64)

@@ -86,10 +86,21 @@ def run_record(
         groundtruth=sequence.groundtruth is not None,
         groundtruth_scaled=sequence.groundtruth_scaled,
         truth=truth_record(sequence, offset),
-        remarks=[*sequence.remarks(), *clock_remark(request.align_time, offset)],
+        remarks=[*sequence.remarks(), *rig_remark(setup), *clock_remark(request.align_time, offset)],
         extra=dict(estimate.extra),
         provenance=replace(origin, dataset=sequence.provenance(), command=shlex.join(request.command())),
     )
+
+
+def rig_remark(setup: RunSetup) -> list[str]:
+    """A line where a method that takes one centre of projection gets the pictures of several lenses stitched."""
+    rig = setup.sequence.rig
+    if rig is None or setup.spec.rigs:
+        return []
+    return [
+        f"{setup.spec.name} takes one centre of projection: the pictures of {len(rig)} lenses, "
+        f"{1e3 * rig.baseline_m:.0f} mm apart, are stitched to a panorama for it"
+    ]
 
 
 def timing_record(tracked: Tracked, evaluation_s: float) -> TimingRecord:

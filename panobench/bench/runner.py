@@ -176,6 +176,7 @@ def _track(
             work=Path(work),
             make_depth=setup.depth.make if setup.depth else None,
             imu=sequence.imu if "imu" in needs else None,
+            rig=sequence.rig if setup.spec.rigs else None,
             poses=_poses(sequence, truth) if "poses" in needs and truth is not None else None,
             log=log,
             warn=warn,

@@ -58,7 +58,7 @@ def track_online(
 ) -> Tracked:
     """Run an online method. Errors of data or user are raised; those of the method become the result's status."""
     result = Tracked()
-    read = FrameReader(sequence)
+    read = FrameReader(sequence, lenses=context.rig is not None)
     begin = time.perf_counter()
     where = "warm_up()"
     with InterruptRequest(tell=observer.interrupted) as stop:
@@ -116,7 +116,7 @@ def track_batch(
 ) -> Tracked:
     """Run a batch method. Errors are treated as in ``track_online``."""
     result = Tracked()
-    blind = MethodSequence(sequence, holdout, context.imu)
+    blind = MethodSequence(sequence, holdout, context.imu, context.rig)
     where, busy = "warm_up()", 0.0
     begin = time.perf_counter()
     with InterruptRequest(at_once=True):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.cameras.rig import Rig, seen_in_panorama
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.truth import truth_remarks
 from panobench.errors import DatasetError
@@ -27,6 +28,8 @@ class ChosenFrames(FrameSequence):
         self._index = np.arange(0, len(inner), every)[:max_frames]
         self.name, self.dataset, self.camera = inner.name, inner.dataset, inner.camera
         self.times = np.asarray(inner.times, dtype=np.float64)[self._index]
+        self._hidden: NDArray[np.bool_] | None = None
+        self._rig: tuple[Rig | None] | None = None
         self._frame_masks: Mapping[int, NDArray[np.bool_]] = {}
         if not (np.isfinite(self.times).all() and (np.diff(self.times) > 0).all()):
             raise DatasetError(f"sequence '{inner.name}': the times are not finite and increasing")
@@ -40,6 +43,21 @@ class ChosenFrames(FrameSequence):
         """Take ``pixels`` (H, W) out of the camera's view, for whoever reads the frames from now on."""
         if (self.camera.valid_mask() & pixels).any():
             self.camera = self.camera.with_mask(self.camera.valid_mask() & ~pixels)
+            self._hidden = pixels if self._hidden is None else self._hidden | pixels
+            self._rig = None
+
+    @property
+    def rig(self) -> Rig | None:
+        """The source's; what is hidden is hidden from its lenses, too."""
+        if self._rig is None:
+            rig = self._inner.rig
+            if rig is not None and self._hidden is not None:
+                rig = rig.with_masks(seen_in_panorama(rig, self.camera, ~self._hidden))
+            self._rig = (rig,)
+        return self._rig[0]
+
+    def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
+        return self._inner.lens_images(self.original(index))
 
     def hide_in_frames(self, masks: Mapping[int, NDArray[np.bool_]]) -> None:
         """Frames by index show the scene only in these pixels (H, W), besides what their source says."""
@@ -110,11 +128,13 @@ def held_out(n: int, holdout: int) -> list[int]:
 class FrameReader:
     """Reads frames for a method: checks them against the camera, copies the image, and blackens what the mask hides.
 
-    What a mask hides, such as a lens's rim or the operator, cannot change a result then.
+    What a mask hides, such as a lens's rim or the operator, cannot change a result then. ``lenses``: frames carry the
+    pictures of the rig's lenses, too.
     """
 
-    def __init__(self, sequence: FrameSequence) -> None:
+    def __init__(self, sequence: FrameSequence, lenses: bool = False) -> None:
         self._sequence = sequence
+        self._rig = sequence.rig if lenses else None
         mask = sequence.camera.mask
         self._hidden = None if mask is None else ~mask
 
@@ -134,17 +154,42 @@ class FrameReader:
         mask = sequence.frame_mask(index)
         if mask is not None:
             image[~mask] = 0
-        return Frame(index, float(sequence.times[index]), image, mappable, depth, sequence.frame_name(index), mask)
+        lenses = self._lenses(index, mask)
+        return Frame(
+            index, float(sequence.times[index]), image, mappable, depth, sequence.frame_name(index), mask, lenses
+        )
+
+    def _lenses(self, index: int, mask: NDArray[np.bool_] | None) -> tuple[NDArray[np.uint8], ...]:
+        rig, sequence = self._rig, self._sequence
+        if rig is None:
+            return ()
+        pictures = tuple(picture.copy() for picture in sequence.lens_images(index))
+        shapes = [(lens.camera.height, lens.camera.width, 3) for lens in rig.lenses]
+        if [p.shape for p in pictures] != shapes or any(p.dtype != np.uint8 for p in pictures):
+            raise DatasetError(
+                f"the lenses' pictures are {[p.shape for p in pictures]}, expected {shapes} uint8",
+                frame=sequence.frame_name(index),
+            )
+        shown = [True] * len(rig) if mask is None else seen_in_panorama(rig, sequence.camera, mask)
+        for picture, lens, seen in zip(pictures, rig.lenses, shown):
+            picture[~(lens.camera.valid_mask() & seen)] = 0
+        return pictures
 
 
 class MethodSequence(FrameSequence):
     """The sequence as a batch method gets it, without ground truth: only a function reaches the original."""
 
-    def __init__(self, sequence: FrameSequence, holdout: frozenset[int] = frozenset(), imu: Imu | None = None) -> None:
+    def __init__(
+        self,
+        sequence: FrameSequence,
+        holdout: frozenset[int] = frozenset(),
+        imu: Imu | None = None,
+        rig: Rig | None = None,
+    ) -> None:
         self.name, self.dataset, self.camera = sequence.name, sequence.dataset, sequence.camera
         self.times = sequence.times.copy()
-        self._imu = imu
-        reader = FrameReader(sequence)
+        self._imu, self._rig = imu, rig
+        reader = FrameReader(sequence, lenses=rig is not None)
         self._read: Callable[[int], Frame] = lambda index: reader(index, index not in holdout)
 
     def image(self, index: int) -> NDArray[np.uint8]:
@@ -156,6 +201,13 @@ class MethodSequence(FrameSequence):
     @property
     def imu(self) -> Imu | None:
         return self._imu
+
+    @property
+    def rig(self) -> Rig | None:
+        return self._rig
+
+    def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
+        return self._read(index).lenses
 
     def frames(self) -> Iterator[Frame]:
         for index in range(len(self)):

@@ -51,6 +51,8 @@ class Reprojector:
     source, target:   cameras with the same centre.
     R_target_source:  rotates vectors from the source's axes to the target's.
     antialias:        filter where the target has fewer pixels than the source.
+    displaced:        (3,) where the source's centre is in the target's axes, over the distance of what both see: the
+                      centres may differ a little where that distance is known. Depth is not corrected for it.
 
     Raises UnsupportedError when the target sees nothing of the source's field of view.
     """
@@ -61,11 +63,13 @@ class Reprojector:
         target: Camera,
         R_target_source: ArrayLike | None = None,
         antialias: bool = True,
+        displaced: ArrayLike | None = None,
     ) -> None:
         R = np.eye(3) if R_target_source is None else np.asarray(R_target_source, dtype=np.float64)
         if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
             raise CalibrationError("R_target_source is not a rotation matrix")
         self.source, self.target, self.R_target_source = source, target, R
+        self._displaced = None if displaced is None else np.asarray(displaced, dtype=np.float64)
         self.sampling = choose_sampling(source, target, R) if antialias else Sampling()
         self._level = _shrunk(source, self.sampling.shrink)
         self._maps = self._sample_maps(self._level, self.sampling.grid)
@@ -140,8 +144,10 @@ class Reprojector:
         u = (np.arange(shape[1]) + 0.5) / grid
         for rows in _row_chunks(shape):
             v = (np.arange(rows.start, rows.stop) + 0.5) / grid
-            rays = self.target.unproject(np.stack(np.meshgrid(u, v), axis=-1)) @ self.R_target_source
-            pixels, ok = level.project(rays)
+            rays = self.target.unproject(np.stack(np.meshgrid(u, v), axis=-1))
+            if self._displaced is not None:
+                rays = rays - self._displaced
+            pixels, ok = level.project(rays @ self.R_target_source)
             x, y = seams.locate(pixels[..., 0], pixels[..., 1])
             map_x[rows][ok], map_y[rows][ok] = x[ok], y[ok]
             inside[rows] = ok

@@ -14,7 +14,7 @@ from panobench.cameras.base import Camera
 from panobench.cameras.row_times import row_times
 from panobench.capture.car import Car
 from panobench.capture.casting import Coverage, Light, cast, light_of
-from panobench.capture.lenses import gains, lens_weights, lenses
+from panobench.capture.lenses import Lens, gains, lens_weights, lenses
 from panobench.capture.motion import Ride, levelling
 from panobench.capture.operator import Operator
 from panobench.capture.parts import Parts
@@ -145,7 +145,7 @@ class RoomStudio:
         cast_of = Cast(self.scene.light(self.ride.pose(t)), self.walkers.solids(t) if self.walkers else None)
         moments = self._moments(t)
         total = np.zeros((*field.rays.shape[:2], 5), dtype=np.float32)
-        for lens in lenses(field.rays, self.parts.stitch):
+        for lens in self._lenses(field.rays):
             view = field.with_rays(lens.rays(field.rays)).only((lens.weight > 0) & field.seen)
             layers = np.zeros_like(total)
             for moment in moments:
@@ -156,6 +156,9 @@ class RoomStudio:
         if self.parts.lenses:
             linear = linear * lens_gains(field.rays, t, self.parts)
         return Shot(linear, total[..., 3], total[..., 4])
+
+    def _lenses(self, rays: Array) -> list[Lens]:
+        return lenses(rays, self.parts.stitch)
 
     def _moments(self, t: float) -> Array:
         """Offsets (M,) in seconds at which an exposure is sampled."""

@@ -23,6 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "convert": ("panobench.cli.convert", "Convert a dataset to another camera model."),
     "view": ("panobench.cli.view", "Show an image or sequence through any camera, and look around in it."),
     "synth": ("panobench.cli.synth", "Make data in the formats of published data sets."),
+    "submit": ("panobench.cli.submit", "Write and check what the organisers of a challenge take."),
     "import": ("panobench.cli.import_run", "Score a trajectory made elsewhere; the row is marked imported."),
     "doctor": ("panobench.cli.doctor", "Say what a method needs and what of it is missing here."),
 }

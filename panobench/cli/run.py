@@ -95,6 +95,7 @@ _LINES = (
     ("ATE without scale", "ate_se3_rmse_m", 1e3, "{:.2f} mm"),
     ("  scale error", "scale_error_percent", 1.0, "{:.3f} %"),
     ("gravity error", "gravity_error_deg", 1.0, "{:.3f} deg"),
+    ("challenge score", "challenge_score", 1.0, "{:.2f} of 100"),
     ("ATE of keyframes", "ate_keyframes_rmse_m", 1e3, "{:.2f} mm"),
     ("ATE / path", "ate_percent", 1.0, "{:.3f} %"),
     ("RPE", "rpe_trans_rmse_m", 1e3, "{:.2f} mm"),

@@ -44,3 +44,50 @@ def palvio(
         task = bar.add_task(opened.name, total=min(frames, len(opened)))
         write_palvio_bag(out, opened, options, lambda n: bar.advance(task, n))
     Console(highlight=False, soft_wrap=True).print(f"{out}: {min(frames, len(opened))} images of '{opened.name}'")
+
+
+@app.command("hilti-360")
+def hilti(
+    out: Annotated[Path, typer.Option(help="Folder that gets floor_X/DATE/run_Z and groundtruth/.")] = Path(
+        "hilti-synthetic"
+    ),
+    run: Annotated[str, typer.Option(help="Name of the run.")] = "floor_synthetic_2026-01-01_run_1",
+    room: Annotated[str, typer.Option(help="Built-in room it is walked in; room2 and loop have four rooms.")] = "loop",
+    seconds: Annotated[float, typer.Option(min=1, max=600, help="How long it takes; 5 s of it are not judged.")] = 60,
+    width: Annotated[int | None, typer.Option(min=64, max=1472, help="Width of a lens's picture.")] = None,
+    rate: Annotated[float, typer.Option(min=1, max=60, help="Images a second.")] = 30,
+    speed: Annotated[float, typer.Option(min=0.1, max=3, help="Of walking, m/s.")] = 1.3,
+    turn: Annotated[float, typer.Option(min=0, max=720, help="Fastest turn of the head, degrees/s.")] = 400,
+    gait: Annotated[float, typer.Option(min=0, max=4, help="Sway of the steps; 1 is a brisk walk's.")] = 1,
+    still: Annotated[float, typer.Option(min=0, max=60, help="Seconds of standing at the start; 0: in motion.")] = 1,
+    operator: Annotated[float, typer.Option(min=0, max=0.35, help="Share of the sphere the operator hides.")] = 0.1,
+    readout: Annotated[float, typer.Option(min=0, max=33, help="Milliseconds from first to last row.")] = 16,
+    imu_noise: Annotated[float, typer.Option(min=0, max=100, help="Factor on the IMU's published noise.")] = 1,
+    seed: Annotated[int, typer.Option(help="Another path, other noise.")] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
+) -> None:
+    """Write a run of the Hilti challenge: a ROS 2 bag with two lenses and an IMU, and its ground truth.
+
+    Both lenses are rendered from their own centres with a rolling shutter and the operator in view. At the full width a
+    frame takes seconds; --width 184 is enough to try a method. Read it with `panobench run --dataset hilti-360 --root
+    FOLDER`.
+    """
+    from dataclasses import fields
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from panobench.capture.imu import ImuNoise
+    from panobench.capture.stroll import StrollOptions
+    from panobench.datasets.hilti.calibration import NOISE
+    from panobench.datasets.hilti.synth import HiltiSynthOptions, write_hilti_run
+
+    walk = StrollOptions(seconds=seconds, speed=speed, turn_deg_s=turn, gait=gait, still_s=still, seed=seed)
+    noise = ImuNoise(*(imu_noise * getattr(NOISE, f.name) for f in fields(NOISE)))
+    options = HiltiSynthOptions(
+        run, room, width, rate, readout_s=readout * 1e-3, operator=operator, walk=walk, noise=noise
+    )
+    with Progress(console=Console(stderr=True), disable=quiet) as bar:
+        task = bar.add_task(run, total=int(seconds * rate))
+        made = write_hilti_run(out, options, lambda n: bar.advance(task, n))
+    Console(highlight=False, soft_wrap=True).print(f"{made.folder}: {made.frames} frames; truth in {made.truth}")

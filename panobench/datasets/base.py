@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.rig import Rig
 from panobench.datasets.given import Given
 from panobench.types import Frame, Imu, NovelView, Trajectory
 
@@ -41,6 +42,18 @@ class FrameSequence(ABC):
     def depth(self, index: int) -> NDArray[np.float32] | None:
         """Radial depth (H, W) at the camera's size, metres, NaN unknown; None if the frame has none."""
         return None
+
+    @property
+    def rig(self) -> Rig | None:
+        """Several lenses with a centre each, whose pictures ``lens_images`` has; its axes are ``camera``'s.
+
+        ``camera`` and ``image`` are then what one centre would have seen: the pictures stitched.
+        """
+        return None
+
+    def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
+        """One RGB picture (H, W, 3) for each lens of the ``rig``, of its camera's size; () without a rig."""
+        return ()
 
     def frame_mask(self, index: int) -> NDArray[np.bool_] | None:
         """(H, W): where this frame shows the scene, besides the camera's mask; None: wherever the camera sees."""

@@ -26,13 +26,15 @@ from panobench.cameras.base import Camera
 from panobench.cameras.calibration import read_calibration
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.factory import camera_from_dict, parse_camera_option
-from panobench.cameras.reproject import Reprojector
+from panobench.cameras.rig import Rig, RigLens
+from panobench.cameras.stitching import Stitcher
 from panobench.cameras.views import look_rotation
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.video import video_files, video_provenance, video_remarks
 from panobench.errors import CalibrationError, DatasetError, UsageError
+from panobench.geometry import make_pose
 from panobench.reading import inside, number_array, parse_yaml, read_text
 from panobench.video.reader import VideoReader
 
@@ -56,6 +58,16 @@ class DualFisheye:
 
     lenses: tuple[Lens, ...]
     blend_deg: float
+
+    @property
+    def rig(self) -> Rig:
+        """The lenses with one centre."""
+        return Rig(tuple(RigLens(lens.camera, make_pose(lens.R_rig_lens, np.zeros(3))) for lens in self.lenses))
+
+    def pictures(self, frame: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
+        """Each lens's part of a frame (H, W, 3)."""
+        corners = [(lens.y, lens.x, lens.camera) for lens in self.lenses]
+        return [np.ascontiguousarray(frame[y : y + c.height, x : x + c.width]) for y, x, c in corners]
 
 
 def read_dual_fisheye(path: Path) -> DualFisheye:
@@ -105,33 +117,6 @@ def _camera_beside(path: Path, name: str) -> Camera:
     return read_calibration(file)
 
 
-class Stitcher:
-    """Stitches frames (H, W, 3) with two circles to panoramas. Weights are linear in the angle from each axis."""
-
-    def __init__(self, rig: DualFisheye, camera: ErpCamera) -> None:
-        self.rig = rig
-        self._reprojectors = [Reprojector(lens.camera, camera, lens.R_rig_lens) for lens in rig.lenses]
-        half = rig.blend_deg / 2
-        weights = []
-        for lens, reprojector in zip(rig.lenses, self._reprojectors):
-            angle = np.degrees(np.arccos(np.clip(camera.rays() @ lens.R_rig_lens[:, 2], -1, 1)))
-            ramp = np.clip((90 + half - angle) / (2 * half), 0, 1)
-            # Where only one lens sees, only that lens counts, however far from its axis.
-            weights.append(np.where(reprojector.valid, np.maximum(ramp, 1e-6), 0.0))
-        total = np.sum(weights, axis=0)
-        self.valid = total > 0
-        self._weights = [(w / np.where(self.valid, total, 1.0)).astype(np.float32)[..., None] for w in weights]
-
-    def image(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The panorama; black where no lens sees."""
-        out = np.zeros((*self.valid.shape, 3), np.float32)
-        for lens, reprojector, weight in zip(self.rig.lenses, self._reprojectors, self._weights):
-            c = lens.camera
-            crop = np.ascontiguousarray(frame[lens.y : lens.y + c.height, lens.x : lens.x + c.width])
-            out += weight * reprojector.image(crop)
-        return np.asarray(np.rint(out), dtype=np.uint8)
-
-
 class DualFisheyeSequence(FrameSequence):
     """A video of two circles as panoramas of ``width`` (None: that of the lenses' resolution)."""
 
@@ -148,14 +133,14 @@ class DualFisheyeSequence(FrameSequence):
             raise UsageError(f"--width {width}: a panorama's width must be even")
         native = parse_camera_option("erp", rig.lenses[0].camera, width).camera
         camera = ErpCamera(native.width, native.height)
-        self._stitcher = Stitcher(rig, camera)
+        self._lenses, self._stitcher = rig, Stitcher(rig.rig, camera, rig.blend_deg)
         self.camera = camera if self._stitcher.valid.all() else camera.with_mask(self._stitcher.valid)
         self.name, self.dataset = name, "insta360-dual-fisheye"
         self.times = self.reader.times
         self._files = [path, calibration]
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        return self._stitcher.image(self.reader.read(range(len(self))[index]))
+        return self._stitcher.image(self._lenses.pictures(self.reader.read(range(len(self))[index])))
 
     def remarks(self) -> list[str]:
         return video_remarks(self.reader)
@@ -166,7 +151,7 @@ class DualFisheyeSequence(FrameSequence):
             "sequence": self.name,
             "root": str(self._files[0]),
             **video_provenance(self.reader),
-            "blend_deg": self._stitcher.rig.blend_deg,
+            "blend_deg": self._lenses.blend_deg,
             **files_provenance(self._files),
         }
 

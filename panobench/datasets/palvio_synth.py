@@ -1,7 +1,7 @@
 """Makes a bag with PALVIO's topics, types and calibration from any panoramic sequence with ground truth.
 
 The published bags cannot be shipped. This one lets users try the pipeline, and tests use it. Splines through the poses
-give body poses and ideal IMU samples: specific force R_bw (a_w - g), and angular rate in body axes.
+give body poses and IMU samples (``capture.imu``).
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from panobench.cameras.calibration import write_calibration
 from panobench.cameras.reproject import Reprojector
 from panobench.cameras.views import upright_rotation
+from panobench.capture.imu import BodyMotion, ImuNoise, sample_times, simulate_imu
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.palvio_calibration import OVERRIDE, STANDARD_GRAVITY, PalvioCalibration, published_calibration
+from panobench.datasets.palvio_calibration import OVERRIDE, PalvioCalibration, published_calibration
 from panobench.errors import UsageError
 from panobench.geometry import invert_pose, make_pose, quaternion_from_matrix
 from panobench.types import Trajectory
@@ -27,11 +28,13 @@ from panobench.writing import write_whole, writing
 
 Array = NDArray[np.float64]
 CAMERA_FILE = "palvio_camera.yaml"
+#: At 200 Hz 0.002 rad/s and 0.02 m/s^2 per sample, as flight controllers have.
+NOISE = ImuNoise(gyro=0.002 / np.sqrt(200), accel=0.02 / np.sqrt(200))
 
 
 @dataclass(frozen=True)
 class BagOptions:
-    """frames: number of images (None: all). width: of the images (None: 1280). Noise: white, deviation per sample.
+    """frames: number of images (None: all). width: of the images (None: 1280). noise: of the IMU; none is published.
 
     body_T_cam: pose of the camera on the body (None: the calibration's).
     """
@@ -42,37 +45,8 @@ class BagOptions:
     start_time_s: int = 1_700_000_000
     imu_rate_hz: float = 200.0
     truth_rate_hz: float = 100.0
-    gyro_noise: float = 0.002
-    accel_noise: float = 0.02
+    noise: ImuNoise = NOISE
     body_T_cam: Array | None = None
-
-
-class BodyMotion:
-    """Smooth body motion through poses (N, 4, 4) at times (N,): cubic splines of position and rotation."""
-
-    def __init__(self, trajectory: Trajectory) -> None:
-        from scipy.interpolate import CubicSpline
-        from scipy.spatial.transform import Rotation, RotationSpline
-
-        self.times = trajectory.times
-        self._position = CubicSpline(trajectory.times, trajectory.positions)
-        self._rotation = RotationSpline(trajectory.times, Rotation.from_matrix(trajectory.T_wc[:, :3, :3]))
-
-    def poses(self, times: Array) -> Array:
-        """Body-to-world poses (M, 4, 4)."""
-        return make_pose(self._rotation(times).as_matrix(), self._position(times))
-
-    def imu(self, times: Array, up: Array, gravity: float = STANDARD_GRAVITY) -> tuple[Array, Array]:
-        """Angular rate (M, 3) rad/s and specific force (M, 3) m/s^2 in body axes; ``up`` is against gravity."""
-        R = self._rotation(times).as_matrix()
-        force = self._position(times, 2) + gravity * up
-        return np.asarray(self._rotation(times, 1)), np.einsum("nji,nj->ni", R, force)
-
-
-def sample_times(begin: float, end: float, rate_hz: float) -> Array:
-    """Times at a rate from ``begin`` on; the last one is ``end``, so that every image lies between two."""
-    n = int(np.ceil((end - begin) * rate_hz - 1e-6)) + 1
-    return np.minimum(begin + np.arange(n) / rate_hz, end)
 
 
 def upward_axis(T_wc: Array) -> Array:
@@ -162,10 +136,8 @@ def _write(
     begin, end = float(motion.times[0]), float(motion.times[-1])
     t_imu = sample_times(begin, end, options.imu_rate_hz)
     t_truth = sample_times(begin, end, options.truth_rate_hz)
-    gyro, accel = motion.imu(t_imu, up, calibration.gravity)
     rng = np.random.default_rng(options.seed)
-    gyro = gyro + rng.normal(0, options.gyro_noise, gyro.shape)
-    accel = accel + rng.normal(0, options.accel_noise, accel.shape)
+    imu = simulate_imu(motion, t_imu, options.imu_rate_hz, up, options.noise, rng, calibration.gravity)
     body = motion.poses(t_truth)
 
     # The IMU's clock is ahead of the camera's by the time offset.
@@ -181,7 +153,7 @@ def _write(
         connections = [writer.add_connection(topic, kind, typestore=store) for topic, kind in topics]
         for time, kind, k in sorted(events):
             if kind == 0:
-                message = make.imu(time, k, gyro[k], accel[k])
+                message = make.imu(time, k, imu.gyro[k], imu.accel[k])
             elif kind == 1:
                 message = make.odometry(time, k, body[k])
             else:

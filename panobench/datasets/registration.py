@@ -75,6 +75,19 @@ DATASETS: tuple[DatasetSpec, ...] = (
         camera="pal",
     ),
     DatasetSpec(
+        "hilti-360",
+        "two fisheye lenses, IMU and laser-scanned poses on construction sites (Hilti x Trimble challenge 2026)",
+        "panobench.datasets.hilti.dataset:Hilti360",
+        requires=("rosbags",),
+        publisher="Centanni, Zhang et al., Hilti-Trimble-Oxford Dataset (2026)",
+        obtain="follow the links in the README of https://github.com/Hilti-Research/hilti-trimble-slam-challenge-2026 "
+        "(Google Drive), and copy its groundtruth/ into the same folder; or make one: `panobench synth hilti-360`",
+        layout="floor_X/YYYY-MM-DD/run_Z/rosbag/{rosbag.db3,metadata.yaml} (ROS 2: /cam0/image_raw/compressed, "
+        "/cam1/image_raw/compressed, /imu/data_raw), optional groundtruth/floor_X_YYYY-MM-DD_run_Z.txt (cam0 to map); "
+        "optional --calibration FILE (Kalibr, cam0 and cam1)",
+        camera="erp",
+    ),
+    DatasetSpec(
         "rooms",
         "built-in furnished rooms, ray cast with exact poses and depth",
         "panobench.datasets.rooms:RoomsDataset",

@@ -15,6 +15,7 @@ from panobench.types import Estimate, Frame, Imu
 
 if TYPE_CHECKING:
     from panobench.cameras.base import Camera
+    from panobench.cameras.rig import Rig
     from panobench.datasets.base import FrameSequence
     from panobench.depth.base import DepthEstimator
 
@@ -31,6 +32,8 @@ class MethodContext:
     work:       an empty folder it may write to; nothing outside it.
     make_depth: makes a fresh depth estimator as chosen by --depth (None: the method was run without one).
     imu:        inertial samples when the method's spec says it needs them.
+    rig:        the lenses of ``Frame.lenses``, for methods that take rigs, where the data have one (contract 1.1).
+                Poses are those of its axes, which are the camera's.
     poses:      camera-to-world poses by frame index, only for methods whose spec needs "poses".
     log:        one line for the run's log.txt.
     warn:       one line that the user should see at once; it is logged too (contract 1.1).
@@ -40,6 +43,7 @@ class MethodContext:
     work: Path = field(default_factory=Path.cwd)
     make_depth: Callable[[], DepthEstimator] | None = None
     imu: Imu | None = None
+    rig: Rig | None = None
     poses: dict[int, NDArray[np.float64]] | None = None
     log: Callable[[str], None] = _silent
     warn: Callable[[str], None] = _silent

@@ -23,6 +23,13 @@ METRICS: tuple[MetricSpec, ...] = (
         },
     ),
     MetricSpec(
+        "challenge",
+        "score of the Hilti x Trimble challenge 2026, for its own sequences",
+        "panobench.metrics.challenge:challenge_metrics",
+        requires=("evo",),
+        keys={"challenge_score": "higher"},
+    ),
+    MetricSpec(
         "rendering",
         "three-view, panorama, held-out and novel-view image quality",
         "panobench.metrics.rendering:rendering_metrics",

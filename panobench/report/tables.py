@@ -71,6 +71,7 @@ METRIC = (
     Quantity("ate_se3_rmse_m", "ATE SE(3)", "mm", "lower", scale=1e3, about="without scale alignment; metric methods"),
     Quantity("scale_error_percent", "Scale error", "%", "lower", digits=3, about="metric methods"),
     Quantity("gravity_error_deg", "Gravity error", "deg", "lower", digits=3, about="gravity-aligned methods"),
+    Quantity("challenge_score", "Challenge score", "", "higher", about="of 100, hilti-360 only"),
 )
 ACCURACY = (
     *METRIC,

@@ -24,6 +24,7 @@ _EXPORTS = {
         "erp_camera",
         "rotating_pose",
         "smooth_pose",
+        "two_lenses",
     ),
 }
 _WHERE = {name: module for module, names in _EXPORTS.items() for name in names}

@@ -23,7 +23,7 @@ from panobench.specs import CONTRACT_VERSION, CameraSpec, DepthSpec, MethodSpec,
 from panobench.testing.check_cameras import example_camera
 from panobench.testing.conformance import Checks, Failed, Options, Skipped, require
 from panobench.testing.running import MethodRun, make_method, run_method
-from panobench.testing.sequences import GivenImages, TinySequence
+from panobench.testing.sequences import GivenImages, TinySequence, erp_camera, two_lenses
 from panobench.testing.watching import Watched, watch_files
 from panobench.types import Estimate
 
@@ -66,6 +66,7 @@ class _Subject:
             make_depth=lambda: registry().get(DepthSpec, "constant").load()(""),
             needs=self.spec.needs,
             idle_s=idle_s,
+            rigs=self.spec.rigs,
         )
 
     @cached_property
@@ -91,6 +92,7 @@ def method_checks(spec: MethodSpec, options: Options, unavailable: str | None) -
         ("stays in its folder", lambda: _stays(s)),
         ("black frames", lambda: _black(s)),
         ("one frame", lambda: _one_frame(s)),
+        ("rig", lambda: _rig(s)),
         ("stopped early", lambda: _stopped_early(s)),
         ("timing", lambda: _timing(s)),
     ]
@@ -208,6 +210,13 @@ def _black(s: _Subject) -> str:
 
 def _one_frame(s: _Subject) -> str:
     return _ends_cleanly(s, GivenImages(s.camera, [s.sequence.image(0)], "one"), "a sequence of one frame")
+
+
+def _rig(s: _Subject) -> str:
+    if not s.spec.rigs:
+        raise Skipped("its spec does not say that it takes rigs")
+    require("erp" in s.spec.cameras, "it takes rigs, whose camera is a panorama, but 'erp' is not among its cameras")
+    return _ends_cleanly(s, TinySequence(erp_camera(128), n=8, rig=two_lenses()), "a rig of two lenses")
 
 
 def _stopped_early(s: _Subject) -> str | None:

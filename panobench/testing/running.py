@@ -56,23 +56,33 @@ def run_method(
     make_depth: Callable[[], DepthEstimator] | None = None,
     needs: tuple[str, ...] = ("rgb",),
     idle_s: float = 0.0,
+    rigs: bool = False,
 ) -> MethodRun:
     """Feed a sequence to a method and return what it answered. What the method raises is not caught.
 
     work: its work folder (default: one that is removed afterwards). needs: as in its spec; "imu", "poses" and
     "depth" are handed over from the sequence. idle_s: pause after each frame; ``idle_cpu_s`` of the result is the
-    processor time used in those pauses, which a timing of ``track`` alone would miss.
+    processor time used in those pauses, which a timing of ``track`` alone would miss. rigs: as in its spec; the
+    sequence's rig and the pictures of its lenses are handed over.
     """
     if work is None:
         with tempfile.TemporaryDirectory(prefix="panobench-") as folder:
             return run_method(
-                method, sequence, seed=seed, work=Path(folder), make_depth=make_depth, needs=needs, idle_s=idle_s
+                method,
+                sequence,
+                seed=seed,
+                work=Path(folder),
+                make_depth=make_depth,
+                needs=needs,
+                idle_s=idle_s,
+                rigs=rigs,
             )
     log: list[str] = []
     truth = sequence.groundtruth if "poses" in needs else None
     poses = None if truth is None else dict(enumerate(truth.T_wc))
     imu = sequence.imu if "imu" in needs else None
     context = MethodContext(seed=seed, work=work, make_depth=make_depth, imu=imu, poses=poses, log=log.append)
+    context.rig = sequence.rig if rigs else None
     if isinstance(method, BatchMethod):
         blind = BlindSequence(sequence, imu="imu" in needs)
         method.set_up(blind, context)
@@ -84,7 +94,10 @@ def run_method(
     method.start(sequence.camera, context)
     for index, t in enumerate(sequence.times):
         depth = sequence.depth(index) if "depth" in needs else None
-        frame = Frame(index, float(t), sequence.image(index), depth=depth, name=sequence.frame_name(index))
+        lenses = sequence.lens_images(index) if context.rig is not None else ()
+        frame = Frame(
+            index, float(t), sequence.image(index), depth=depth, name=sequence.frame_name(index), lenses=lenses
+        )
         begin = time.perf_counter()
         pose = method.track(frame)
         run.latency.append(time.perf_counter() - begin)

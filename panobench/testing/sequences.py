@@ -14,6 +14,7 @@ from panobench.types import Imu, Trajectory
 
 if TYPE_CHECKING:
     from panobench.cameras.base import Camera
+    from panobench.cameras.rig import Rig
 
 HALF_SIZE = np.array([2.5, 1.5, 2.0])  # of the room, metres
 GRAVITY = np.array([0.0, 9.81, 0.0])  # world axes as the camera's at rest: y points down
@@ -27,6 +28,18 @@ def erp_camera(width: int = 128) -> Camera:
     cls = registry().get(CameraSpec, "erp").load()
     camera: Camera = cls.from_dict({"model": "erp", "width": width, "height": width // 2})
     return camera
+
+
+def two_lenses(width: int = 96, baseline_m: float = 0.041) -> Rig:
+    """Two fisheye lenses of 190 degrees back to back, ``baseline_m`` apart along the rig's z axis."""
+    from panobench.cameras.rig import Rig, RigLens
+    from panobench.cameras.views import look_rotation
+    from panobench.testing.cameras import fisheye_camera
+
+    camera = fisheye_camera(width, 190.0)
+    half = np.array([0.0, 0.0, 0.5 * baseline_m])
+    back = make_pose(look_rotation(180.0).T, -half)
+    return Rig((RigLens(camera, make_pose(np.eye(3), half)), RigLens(camera, back)))
 
 
 def smooth_pose(t: float) -> NDArray[np.float64]:
@@ -44,7 +57,7 @@ class TinySequence(FrameSequence):
     """A box room with a smooth procedural texture, ray-cast in numpy; exact poses, depth and IMU.
 
     pose: time in seconds -> ``T_wc``; ``smooth_pose`` or ``rotating_pose`` or your own (stay within the room,
-    half its size is ``HALF_SIZE``).
+    half its size is ``HALF_SIZE``). rig: lenses whose pictures ``lens_images`` has, each seen from its own centre.
     """
 
     dataset = "testing"
@@ -58,11 +71,12 @@ class TinySequence(FrameSequence):
         pose: Callable[[float], NDArray[np.float64]] = smooth_pose,
         seed: int = 0,
         name: str = "tiny",
+        rig: Rig | None = None,
     ) -> None:
         self.camera = camera if camera is not None else erp_camera()
         self.times = np.arange(n) / rate
         self.name = name
-        self._pose = pose
+        self._pose, self._rig = pose, rig
         rng = np.random.default_rng(seed)
         direction = rng.normal(size=(24, 3))
         self._waves = direction * np.geomspace(2.0, 25.0, 24)[:, None] / np.linalg.norm(direction, axis=1)[:, None]
@@ -94,6 +108,15 @@ class TinySequence(FrameSequence):
 
     def image(self, index: int) -> NDArray[np.uint8]:
         return self.image_from(self.pose_at(float(self.times[index])))
+
+    @property
+    def rig(self) -> Rig | None:
+        return self._rig
+
+    def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
+        T_wc = self.pose_at(float(self.times[index]))
+        lenses = () if self._rig is None else self._rig.lenses
+        return tuple(self.image_from(T_wc @ lens.T_rig_lens, lens.camera) for lens in lenses)
 
     def depth(self, index: int) -> NDArray[np.float32] | None:
         distance, _ = self._hits(self.pose_at(float(self.times[index])), self.camera.rays())
@@ -167,6 +190,13 @@ class BlindSequence(FrameSequence):
     @property
     def imu(self) -> Imu | None:
         return self._inner.imu if self._imu else None
+
+    @property
+    def rig(self) -> Rig | None:
+        return self._inner.rig
+
+    def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
+        return self._inner.lens_images(index)
 
     def novel_views(self) -> list[Any]:
         self.asked.append("novel_views")

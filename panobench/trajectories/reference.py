@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.rig import Rig
 from panobench.cameras.views import rotated_poses
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.checksums import known_sha256
@@ -88,6 +89,13 @@ class ReferencedSequence(FrameSequence):
 
     def image(self, index: int) -> NDArray[np.uint8]:
         return self._inner.image(index)
+
+    @property
+    def rig(self) -> Rig | None:
+        return self._inner.rig
+
+    def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
+        return self._inner.lens_images(index)
 
     def frame_name(self, index: int) -> str:
         return self._inner.frame_name(index)

@@ -10,8 +10,9 @@ import yaml
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.reproject import Reprojector
+from panobench.cameras.stitching import Stitcher
 from panobench.cameras.views import look_rotation
-from panobench.datasets.dual_fisheye import Stitcher, read_dual_fisheye
+from panobench.datasets.dual_fisheye import read_dual_fisheye
 from panobench.datasets.open import open_sequence
 from panobench.errors import CalibrationError, DatasetError, UsageError
 
@@ -54,10 +55,10 @@ def write(folder: Path, values: object) -> Path:
 
 def test_stitching_gives_the_world_back(tmp_path: Path) -> None:
     rig = read_dual_fisheye(write(tmp_path, rig_values()))
-    stitcher = Stitcher(rig, ErpCamera(192, 96))
+    stitcher = Stitcher(rig.rig, ErpCamera(192, 96), rig.blend_deg)
     assert stitcher.valid.all()
     expected = world(192).astype(float)
-    error = np.abs(stitcher.image(frame()).astype(float) - expected)
+    error = np.abs(stitcher.image(rig.pictures(frame())).astype(float) - expected)
     assert error.mean() < 1.5
     assert np.percentile(error, 99.5) < 8
 
@@ -67,7 +68,7 @@ def test_what_no_lens_sees_is_masked(tmp_path: Path) -> None:
     narrow = KannalaBrandtCamera.equidistant(128, 160.0).to_dict()
     for lens in values["lenses"]:  # type: ignore[attr-defined]
         lens["camera"] = narrow
-    stitcher = Stitcher(read_dual_fisheye(write(tmp_path, values)), ErpCamera(128, 64))
+    stitcher = Stitcher(read_dual_fisheye(write(tmp_path, values)).rig, ErpCamera(128, 64))
     assert 0.6 < stitcher.valid.mean() < 0.9
     assert not stitcher.valid[0].any()  # the zenith lies in the gap between the lenses
 
