@@ -18,7 +18,7 @@ def visible(path: Path) -> bool:
 
 
 def children(folder: Path) -> list[Path]:
-    """The visible files and folders directly in ``folder``, in natural order. Raises DatasetError if it is not there."""
+    """The visible files and folders directly in ``folder``, in natural order. Raises DatasetError if it is missing."""
     try:
         return natural_paths(p for p in folder.iterdir() if visible(p))
     except OSError as error:
