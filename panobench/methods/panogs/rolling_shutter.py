@@ -8,9 +8,9 @@ hand-held devices", CVPR 2010.)
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from panobench.cameras.base import Camera
 from panobench.cameras.row_times import row_times
@@ -24,6 +24,26 @@ Image = NDArray[np.uint8]
 #: Displacements are worked out for one pixel in so many across and down (the first that divides the image), and
 #: interpolated.
 GRIDS_PX = (4, 2)
+#: A pixel farther away than this has no part in a spline's value.
+SPLINE_REACH = 12
+
+
+def resampled(image: Image, at: F32, *, wrap: bool) -> Image:
+    """The image (H, W, 3) at pixel indices ``at`` (H, W, 2), by cubic B-splines. wrap: columns go on at the other side.
+
+    OpenCV's bicubic kernel moves what it interpolates by up to 0.05 pixels, and rounds positions to 1/32: more than
+    tracking is off by.
+    """
+    if wrap:
+        image = np.concatenate([image[:, -SPLINE_REACH:], image, image[:, :SPLINE_REACH]], axis=1)
+        at = np.stack([np.mod(at[..., 0], image.shape[1] - 2 * SPLINE_REACH) + SPLINE_REACH, at[..., 1]], axis=-1)
+    where = (at[..., 1], at[..., 0])
+    out = np.empty((*at.shape[:2], image.shape[2]), dtype=np.uint8)
+    for k in range(image.shape[2]):
+        spline = ndimage.spline_filter(image[..., k], 3, output=np.float32, mode="nearest")
+        values = ndimage.map_coordinates(spline, where, order=3, prefilter=False, mode="nearest")
+        out[..., k] = np.clip(np.rint(values), 0, 255)
+    return out
 
 
 class RollingShutter:
@@ -85,11 +105,7 @@ class RollingShutter:
         seen = self._rotated(self.rays, -self.readout_s * self.rows, rate)
         seen = self._rotated(self.rays, -self.readout_s * row_times(self.coarse, seen), rate)
         at = self.pixels + self._shifts(seen)
-        if self.camera.kind == "erp":
-            wide = np.concatenate([image[:, -2:], image, image[:, :2]], axis=1)
-            at[..., 0] = np.mod(at[..., 0], self.camera.width) + 2
-            return np.asarray(cv2.remap(wide, at, np.empty(0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
-        return np.asarray(cv2.remap(image, at, np.empty(0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE))
+        return resampled(image, at, wrap=self.camera.kind == "erp")
 
     def _shifts(self, seen: Pose) -> F32:
         """Displacement (H, W, 2) of each pixel, from the directions (h, w, 3) in which the coarse ones are seen."""
