@@ -152,11 +152,24 @@ class Run:
         write_report([self.folder], Path(output))
         return Path(output)
 
-    def export(self, to: str, output: Path | str | None = None) -> Path:
-        """Write it for another program, as `panobench export` does; see ``panobench.bench.export.FORMATS``."""
-        from panobench.bench.export import export_run
+    def export(self, to: str, output: Path | str | None = None, **options: Any) -> Path:
+        """Write it for another program, as `panobench export` does, whose options have the same names here.
 
-        return export_run(self, to, None if output is None else Path(output))
+        Raises UnknownNameError for a format that is not in ``panobench.bench.export.FORMATS``.
+        """
+        from panobench.bench.export import ExportOptions, export_run
+
+        return export_run(self, to, None if output is None else Path(output), ExportOptions(**options))
+
+    def walk(self, output: Path | str) -> Path:
+        """Write one offline page in which one walks through its map, and return its path.
+
+        Raises UsageError where it has no map.
+        """
+        from panobench.viewer.walk.page import walk_of_run, write_walk
+
+        write_walk(walk_of_run(self), Path(output))
+        return Path(output)
 
     @cached_property
     def _stored(self) -> StoredRun:

@@ -29,6 +29,8 @@ def is_map(source: Path) -> bool:
 class MapSequence(FrameSequence):
     """The map seen from the poses of its run; from the origin of its world where there are none beside it.
 
+    gaussians: the map. poses (N, 4, 4): camera-to-world.
+
     Methods begin their world at the first camera. Raises InputError for a file that is no map of Gaussians, and for a
     run without one.
     """
@@ -37,12 +39,12 @@ class MapSequence(FrameSequence):
         path = source / MAP if source.is_dir() else source
         if not path.is_file():
             raise InputError("the run has no map", source)
-        self._map = GaussianMap(*read_ply(path))
+        self.gaussians = GaussianMap(*read_ply(path))
         poses = path.parent / TRAJECTORY
         beside = path.name == MAP and poses.is_file() and poses.stat().st_size > 0
         trajectory = read_tum(poses) if beside else Trajectory(np.zeros(1), np.eye(4)[None])
         self.name = path.parent.resolve().name + "-map" if path.name == MAP else path.stem
-        self.dataset, self.times, self._poses = "map", trajectory.times, trajectory.T_wc
+        self.dataset, self.times, self.poses = "map", trajectory.times, trajectory.T_wc
         self.camera = camera or ErpCamera(WIDTH, WIDTH // 2)
         self._renderer = Renderer(self.camera)
 
@@ -50,7 +52,7 @@ class MapSequence(FrameSequence):
         return len(self.times)
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        colour = self._renderer.forward(self._map, self._poses[index]).colour
+        colour = self._renderer.forward(self.gaussians, self.poses[index]).colour
         return np.ascontiguousarray(np.rint(255.0 * np.clip(np.nan_to_num(colour), 0.0, 1.0)).astype(np.uint8))
 
     def frame_name(self, index: int) -> str:

@@ -42,7 +42,8 @@ def run(
         bool, typer.Option("--strict", help="Exit with code 3 unless the verdict on the run is: trusted.")
     ] = False,
     viewer: Annotated[
-        str | None, typer.Option(help="Watch the run: rerun opens a window, rerun:FILE.rrd writes a file.")
+        str | None,
+        typer.Option(help="Watch the run: rerun opens a window, rerun:FILE.rrd writes a file, web serves a page."),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print the run's log as it is written.")] = False,

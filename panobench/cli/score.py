@@ -50,10 +50,13 @@ def score(
         print(json.dumps(found, indent=2))
         return
     from panobench.bench.tables import text_table
+    from panobench.cli.table import print_table
 
     header = ["run", "status", "ATE mm", "RPE mm", "tracked"]
+    lines = [[folder.name, *_pairs(before, after)] for folder, before, after in rows]
     print(f"protocol {protocol.name}")
-    print(text_table(header, [[folder.name, *_pairs(before, after)] for folder, before, after in rows]))
+    if not print_table(header, lines, right=(2, 3, 4)):
+        print(text_table(header, lines))
 
 
 def _short(record: RunRecord) -> dict[str, Any]:

@@ -81,6 +81,22 @@ def _conclude(cells: list[Any], store: Any, as_json: bool, quiet: bool) -> None:
 
 
 @app.command()
+def schema(
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default: print it.")] = None,
+) -> None:
+    """JSON Schema of suite files, for editors: keys, methods, data sets, presets and options that there are here."""
+    from panobench.bench.suite_model import suite_schema
+    from panobench.writing import write_whole
+
+    text = json.dumps(suite_schema(), indent=1, ensure_ascii=False) + "\n"
+    if output is None:
+        print(text, end="")
+    else:
+        write_whole(output, text)
+        print(output)
+
+
+@app.command()
 def status(
     store: Annotated[Path, typer.Argument(help="A suite's store.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -111,15 +127,26 @@ def _row(label: str, stored: Any, reason: str) -> dict[str, Any]:
 
 
 def print_rows(rows: list[dict[str, Any]], as_json: bool) -> None:
-    """Print rows as JSON, or as one line each."""
+    """Print rows as JSON, as a table on a terminal, or as one line each."""
     if as_json:
         print(json.dumps(rows, indent=2))
         return
-    width = max((len(r["cell"]) for r in rows), default=0)
-    for r in rows:
-        numbers = [f"{r['tracked']:.0%}" if isinstance(r["tracked"], float) else ""]
-        numbers += [f"{1e3 * r['ate_rmse_m']:.2f} mm" if isinstance(r["ate_rmse_m"], float) else ""]
-        numbers += [f"{r['fps']:.1f} fps" if isinstance(r["fps"], float) else ""]
-        note = f"to do: {r['to_do']}" if r["to_do"] else r["message"]
-        line = f"{r['cell']:{width}}  {r['status']:13} {numbers[0]:>5} {numbers[1]:>11} {numbers[2]:>10}  {note}"
-        print(line.rstrip())
+    from panobench.cli.table import print_table
+
+    lines = [_cells(row) for row in rows]
+    if print_table(("Cell", "Status", "Tracked", "ATE", "Speed", ""), lines, right=(2, 3, 4), status=1):
+        return
+    width = max((len(line[0]) for line in lines), default=0)
+    for cell, status_, tracked, ate, speed, note in lines:
+        print(f"{cell:{width}}  {status_:13} {tracked:>5} {ate:>11} {speed:>10}  {note}".rstrip())
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    return [
+        row["cell"],
+        row["status"],
+        f"{row['tracked']:.0%}" if isinstance(row["tracked"], float) else "",
+        f"{1e3 * row['ate_rmse_m']:.2f} mm" if isinstance(row["ate_rmse_m"], float) else "",
+        f"{row['fps']:.1f} fps" if isinstance(row["fps"], float) else "",
+        f"to do: {row['to_do']}" if row["to_do"] else row["message"],
+    ]

@@ -16,9 +16,9 @@ from panobench.bench.cautions import cautions
 from panobench.bench.cells import Planned
 from panobench.bench.store import Stored
 from panobench.bench.suite import Plan, counts
+from panobench.cli.table import STYLES
 
 _SHOWN = 12
-_STYLES = {"ok": "green", "lost": "yellow", "interrupted": "yellow"}
 
 
 class SuiteTable:
@@ -70,7 +70,7 @@ class SuiteTable:
             for column in ("cell", "status", "result"):
                 table.add_column(column, overflow="ellipsis", no_wrap=column != "result")
             for label, stored, note in self._finished[-_SHOWN:]:
-                style = _STYLES.get(stored.status, "red")
+                style = STYLES.get(stored.status, "red")
                 # names and messages come from data and must not be read as markup
                 table.add_row(Text(label), Text(stored.status, style), Text(note or _numbers(stored)))
             for label, begin in self._running.items():

@@ -13,6 +13,7 @@ from panobench.errors import UsageError
 if TYPE_CHECKING:
     import numpy as np
 
+    from panobench.bench.map_views import MapSequence
     from panobench.cameras.factory import CameraChoice
     from panobench.datasets.base import FrameSequence
     from panobench.datasets.contact_sheet import Cell
@@ -43,13 +44,15 @@ def view(
     fov: Annotated[str | None, typer.Option(help="Field of view of --as, 120 or 120x60.")] = None,
     width: Annotated[int | None, typer.Option(help="Width of --as in pixels.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write to; default: here.")] = None,
+    open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
     """Show an image, a sequence or a map through another camera.
 
-    A map is seen from the poses of its run, or from its origin where no run is around it.
-
     Writes NAME.sheet.png, the frames beside what the other camera would have seen, and for anything that
     covers a good part of the sphere NAME.html, one offline page in which to look around.
+
+    A map is seen from the poses of its run, or from its origin where no run is around it; its page is one to walk
+    through.
     """
     from rich.console import Console
 
@@ -67,7 +70,7 @@ def view(
     chosen = _spread(len(opened), frames)
     choices = _choices(as_, opened, width, fov)
     rows = _rows(opened, chosen, choices)
-    panoramas = _panoramas(opened, chosen)
+    panoramas = [] if isinstance(opened, MapSequence) else _panoramas(opened, chosen)
 
     folder = out or Path()
     name = opened.name.replace("/", "-")
@@ -76,10 +79,30 @@ def view(
     write_whole(target, encode_image(sheet, ".png"))
     console = Console(highlight=False, soft_wrap=True)
     console.print(str(target))
-    if panoramas:
-        page = folder / f"{name}.html"
+    page = folder / f"{name}.html"
+    if isinstance(opened, MapSequence):
+        _write_walk(source, opened, page)
+    elif panoramas:
         write_look_around_page(page, opened.name, panoramas)
-        console.print(str(page))
+    else:
+        return
+    console.print(str(page))
+    if open_:
+        typer.launch(page.resolve().as_uri())
+
+
+def _write_walk(source: Path, opened: MapSequence, page: Path) -> None:
+    """The page of a run's map, or of a map alone with the poses that lie beside it."""
+    from panobench.api import Run
+    from panobench.bench.runfolder import MAP, RUN_JSON
+    from panobench.viewer.walk.page import Walk, walk_of_run, write_walk
+
+    folder = source if source.is_dir() else source.parent
+    if (folder / RUN_JSON).is_file() and (source.is_dir() or source.name == MAP):
+        write_walk(walk_of_run(Run(folder)), page)
+    else:
+        poses = opened.poses if len(opened) > 1 else opened.poses[:0]
+        write_walk(Walk(opened.name, opened.gaussians, poses), page)
 
 
 def _spread(count: int, wanted: int) -> list[int]:

@@ -25,7 +25,6 @@ _NORMAL = ("nx", "ny", "nz")
 _COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SCALE = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
-_WRITTEN = (*_MEAN, *_NORMAL, *_COLOUR, "opacity", *_SCALE, *_ROTATION)
 _NEEDED = (*_MEAN, *_COLOUR, "opacity", *_SCALE, *_ROTATION)
 
 _TYPES = {
@@ -85,11 +84,13 @@ def write_ply(
     quats: ArrayLike,
     opacity_logits: ArrayLike,
     colours: ArrayLike,
+    *,
+    harmonics: int = 0,
 ) -> None:
     """Write Gaussians as binary little-endian PLY; the file appears whole or not at all.
 
     means, log_scales, colours (N, 3), quats (N, 4) as (w, x, y, z), opacity_logits (N,). Colours are RGB in
-    0..1. Raises ValueError for other shapes.
+    0..1. harmonics: so many ``f_rest_*`` are written, all zero; 45 make degree 3. Raises ValueError for other shapes.
     """
     m = np.asarray(means, dtype=np.float32)
     n = len(m)
@@ -97,16 +98,17 @@ def write_ply(
         _MEAN: m,
         _NORMAL: np.zeros((n, 3), np.float32),
         _COLOUR: (np.asarray(colours, dtype=np.float64) - 0.5) / SH_C0,
+        tuple(f"f_rest_{k}" for k in range(harmonics)): np.zeros((n, harmonics), np.float32),
         ("opacity",): np.asarray(opacity_logits, dtype=np.float32).reshape(-1, 1),
         _SCALE: np.asarray(log_scales, dtype=np.float32),
         _ROTATION: np.asarray(quats, dtype=np.float32),
     }
     for names, values in groups.items():
         if values.shape != (n, len(names)):
-            raise ValueError(f"{names[0]}...: shape {values.shape}, expected {(n, len(names))}")
+            raise ValueError(f"{'/'.join(names[:1])}...: shape {values.shape}, expected {(n, len(names))}")
     rows = np.concatenate([v.astype("<f4") for v in groups.values()], axis=1)
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
-    header += [f"property float {name}" for name in _WRITTEN] + ["end_header", ""]
+    header += [f"property float {name}" for names in groups for name in names] + ["end_header", ""]
 
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")

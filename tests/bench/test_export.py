@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import panobench
-from panobench.bench.export import FORMATS, export_run
+from panobench.bench.export import FORMATS, ExportOptions, export_run
 from panobench.cameras.calibration import colmap, nerfstudio
 from panobench.cameras.calibration.result import ReadOptions
 from panobench.cli.main import run as command
@@ -94,4 +94,6 @@ def test_a_run_without_a_map_says_so(run: panobench.Run, tmp_path: Path) -> None
     bare.__dict__["map"] = None
     with pytest.raises(UsageError, match="no map"):
         export_run(bare, "ply-points", tmp_path / "x.ply")
-    assert set(FORMATS) == {"tum", "kitti", "ply-points", "colmap", "nerfstudio"}
+    for name in ("mesh", "splat", "spz", "sog", "ply-sh3", "mp4"):
+        with pytest.raises(UsageError, match="no map"):
+            FORMATS[name].write(bare, tmp_path / "x", ExportOptions())

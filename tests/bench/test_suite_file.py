@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from panobench.bench.suite_file import read_suite
+from panobench.cli.main import run as command
 from panobench.errors import PanobenchError
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
@@ -186,3 +188,34 @@ def test_the_suites_that_come_with_panobench_are_read_and_name_what_there_is(
         method_config(spec, request.preset, request.settings)
         if path.stem.startswith("paper"):
             check_camera(request.camera, spec)
+
+
+def test_editors_learn_what_may_stand_in_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The schema accepts what is read and refuses what is not."""
+    jsonschema = pytest.importorskip("jsonschema")
+    assert command(["suite", "schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    good = "methods: [{name: sparse, preset: fast, set: {features: 500}}, panogs]\ndatasets: rooms\nseeds: [0, 1]\n"
+    for text in (SUITE, good + "options: {width: 64, timeout_s: 5}\n"):
+        read(tmp_path, text)
+        assert list(validator.iter_errors(yaml.safe_load(text))) == []
+    bad = {
+        "method: [a]\n": "method",
+        "methods: [sparse]\n": "datasets",
+        "methods: [spars]\ndatasets: [rooms]\n": "spars",
+        "methods: [{name: sparse, set: {feature: 5}}]\ndatasets: [rooms]\n": "feature",
+        "methods: [{name: sparse, preset: quick}]\ndatasets: [rooms]\n": "quick",
+        "methods: [sparse]\ndatasets: [rooms]\noptions: {widht: 5}\n": "widht",
+        "methods: [sparse]\ndatasets: [rooms]\nseeds: [-1]\n": "-1",
+    }
+    for text, culprit in bad.items():
+        errors = [str(e.message) for e in validator.iter_errors(yaml.safe_load(text))]
+        assert errors, text
+        assert any(culprit in e for e in errors), errors
+    described = schema["$defs"]["MethodEntry"]["allOf"]
+    panogs = next(m["then"]["properties"]["set"]["properties"] for m in described if "panogs" in str(m["if"]))
+    assert all(o["description"] for o in panogs.values())
+    assert command(["suite", "schema", "-o", str(tmp_path / "s.json")]) == 0
+    assert json.loads((tmp_path / "s.json").read_text()) == schema

@@ -129,3 +129,16 @@ def test_progress_moves_on_while_a_run_finishes() -> None:
     assert "2.0 frames/s" in shown
     assert "finishing" in shown
     assert "1 s" in shown.split("finishing", 1)[1]
+
+
+def test_tables_are_drawn_on_terminals_alone(monkeypatch, capsys):
+    from panobench.cli.table import print_table
+
+    rows = [["[red]cell[/]", "lost", "1.5"]]
+    assert not print_table(("Cell", "Status", "ATE"), rows)
+    assert capsys.readouterr().out == ""
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
+    assert print_table(("Cell", "Status", "ATE"), rows, right=(2,), status=1)
+    out = capsys.readouterr().out
+    assert "[red]cell[/]" in out, "texts are no markup"
+    assert "Status" in out

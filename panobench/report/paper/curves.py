@@ -126,7 +126,8 @@ def _trace(figure: Any, axis: Any, trace: Mapping[str, Any], k: int, style: Styl
         cross = str(marker.get("symbol", "circle")).startswith("x")
         look = {"marker": "X" if cross else "o", "color": marker.get("color") or style.colour(colour)}
         return axis.scatter(x, y, s=18, ec="#10202c", lw=0.5, zorder=3, **look)
-    dash = {"dot": (0, (1, 1)), "dash": (0, (4, 1.5))}.get((trace.get("line") or {}).get("dash"), style.dash(colour))
+    wanted = str((trace.get("line") or {}).get("dash"))
+    dash = {"dot": (0, (1, 1)), "dash": (0, (4, 1.5))}.get(wanted, style.dash(colour))
     mark = style.marker(colour) if "markers" in mode else None
     return axis.plot(x, y, color=style.colour(colour), ls=dash, marker=mark, ms=3.5)[0]
 

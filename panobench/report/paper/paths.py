@@ -28,7 +28,8 @@ def paths(runs: Sequence[Run], labels: Sequence[str], scaled: bool, style: Style
     turn = _lying(runs) @ upright(runs)
     if not judged:
         return _bare(runs, labels, turn, style)
-    truth = max((r.groundtruth for r in runs if r.groundtruth is not None), key=len).positions @ turn.T
+    truths = [r.groundtruth for r in runs if r.groundtruth is not None]
+    truth = max(truths, key=len).positions @ turn.T
     columns = max(1, min(len(judged), int(style.width / _PANEL)))
     rows = math.ceil(len(judged) / columns)
     low, high = _frame(truth)

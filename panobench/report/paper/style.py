@@ -108,7 +108,8 @@ def drawing() -> Iterator[None]:
     """matplotlib's settings for these figures; without a display."""
     import matplotlib
 
-    with matplotlib.rc_context({"backend": "agg", **_RC}):
+    settings: Any = {"backend": "agg", **_RC}
+    with matplotlib.rc_context(settings):
         yield
 
 
