@@ -1,12 +1,15 @@
-"""LPIPS with AlexNet features, from weights that the user provides. Without them the value is "n/a".
+"""LPIPS with AlexNet features, from weights that are found on this machine. Without them the value is "n/a".
 
 Zhang et al., "The unreasonable effectiveness of deep features as a perceptual metric" (2018), version 0.1.
 ``$PANOBENCH_LPIPS`` names a folder with the two files as their publishers name them: AlexNet's weights
-(``alexnet-owt-*.pth``, ImageNet) and the linear layers (``alex.pth``).
+(``alexnet-owt-*.pth``, ImageNet) and the linear layers (``alex.pth``). Where it is not set, AlexNet is looked for in
+torch's own cache, where torchvision, torchmetrics and lpips leave it, and the layers in the packages torchmetrics and
+lpips, which bring them. Nothing is downloaded.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from pathlib import Path
 from typing import Any
@@ -25,31 +28,57 @@ _LAYERS = (
     (8, 384, 256, 3, 1, 1, False),
     (10, 256, 256, 3, 1, 1, False),
 )
+#: Packages that bring the linear layers, and where.
+_PACKAGED = (("torchmetrics", "functional/image/lpips_models/alex.pth"), ("lpips", "weights/v0.1/alex.pth"))
 _SHIFT, _SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 #: Smaller images have no pixel left after AlexNet's pooling.
 _MIN_SIZE = 64
 
 
 def find_lpips(notes: dict[str, str]) -> Lpips | None:
-    """The metric if ``$PANOBENCH_LPIPS`` names its weights, else None and a note. Raises InputError for wrong files."""
+    """The metric if its weights are there, else None and a note. Raises InputError for wrong files."""
     files = weight_files()
     if not files:
-        notes["lpips"] = f"n/a: no weights; set {VARIABLE} to a folder with alexnet-owt-*.pth and alex.pth"
+        lacking = "the linear layers (pip install 'panobench[lpips]')" if _cached_features() else "AlexNet's weights"
+        notes["lpips"] = (
+            f"n/a: {lacking} are not on this machine; set {VARIABLE} to a folder with alexnet-owt-*.pth and alex.pth"
+        )
         return None
     features, linear = files
     return Lpips(_read(features), _read(linear))
 
 
 def weight_files(_: object = None) -> list[Path]:
-    """AlexNet's file and that of the linear layers; none if the variable is not set. Raises InputError."""
+    """AlexNet's file and that of the linear layers; none if they are not there. Raises InputError.
+
+    A folder that ``$PANOBENCH_LPIPS`` names must have both.
+    """
     folder = os.environ.get(VARIABLE)
     if not folder:
-        return []
+        found = [_cached_features(), _packaged_layers()]
+        return [path for path in found if path is not None] if all(found) else []
     features = sorted(Path(folder).glob("alexnet*.pth"))
     linear = Path(folder) / "alex.pth"
     if not features or not linear.is_file():
         raise InputError("expected alexnet-owt-*.pth and alex.pth in the folder", folder)
     return [features[0], linear]
+
+
+def _cached_features() -> Path | None:
+    """AlexNet in torch's cache: $TORCH_HOME, or torch below $XDG_CACHE_HOME or ~/.cache."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    home = Path(os.environ.get("TORCH_HOME") or cache / "torch").expanduser()
+    return next(iter(sorted((home / "hub" / "checkpoints").glob("alexnet-owt-*.pth"))), None)
+
+
+def _packaged_layers() -> Path | None:
+    """The linear layers that a package brings; it is not imported."""
+    for package, place in _PACKAGED:
+        spec = importlib.util.find_spec(package)
+        for folder in spec.submodule_search_locations or () if spec is not None else ():
+            if (path := Path(folder) / place).is_file():
+                return path
+    return None
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from panobench.errors import InputError
+from panobench.metrics import lpips as module
 from panobench.metrics.lpips import VARIABLE, Lpips, find_lpips
 
 SHAPES = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
@@ -62,9 +63,10 @@ def test_distance_is_its_definition() -> None:
 
 def test_without_weights_the_value_is_not_available(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     notes: dict[str, str] = {}
     assert find_lpips(notes) is None
-    assert notes["lpips"].startswith("n/a")
+    assert notes["lpips"].startswith("n/a: AlexNet's weights are not on this machine")
     monkeypatch.setenv(VARIABLE, str(tmp_path))
     with pytest.raises(InputError, match=r"alex\.pth"):
         find_lpips(notes)
@@ -85,3 +87,39 @@ def test_weights_from_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     (tmp_path / "alex.pth").write_bytes(b"\x80\x04cos\nsystem\n(S'true'\ntR.")
     with pytest.raises(InputError, match="not a weights file"):
         find_lpips({})
+
+
+@pytest.mark.parametrize("package", [("torchmetrics", "functional/image/lpips_models"), ("lpips", "weights/v0.1")])
+def test_weights_from_the_usual_caches(
+    package: tuple[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import torch
+
+    features, linear = weights()
+    cache, site = tmp_path / "torch" / "hub" / "checkpoints", tmp_path / "site"
+    cache.mkdir(parents=True)
+    torch.save(features, cache / "alexnet-owt-7be5be79.pth")
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
+    monkeypatch.setattr(module, "_PACKAGED", ((f"fake_{package[0]}", f"{package[1]}/alex.pth"),))
+    notes: dict[str, str] = {}
+    assert find_lpips(notes) is None
+    assert "panobench[lpips]" in notes["lpips"]
+    (site / f"fake_{package[0]}" / package[1]).mkdir(parents=True)
+    (site / f"fake_{package[0]}" / "__init__.py").write_text("raise ImportError('only its files are needed')")
+    torch.save(linear, site / f"fake_{package[0]}" / package[1] / "alex.pth")
+    monkeypatch.syspath_prepend(str(site))
+    found = find_lpips(notes)
+    assert isinstance(found, Lpips)
+    rng = np.random.default_rng(1)
+    a, b = rng.random((2, 70, 90, 3)).astype(np.float32)
+    assert found(a, b) == Lpips(features, linear)(a, b)
+
+
+def test_the_layers_of_torchmetrics_are_those_of_version_0_1() -> None:
+    pytest.importorskip("torchmetrics")
+    path = module._packaged_layers()
+    assert path is not None
+    layers = module._read(path)
+    assert [layers[f"lin{k}.model.1.weight"].numel() for k in range(5)] == [64, 192, 384, 256, 256]
+    assert min(float(v.min()) for v in layers.values()) >= 0
