@@ -168,7 +168,8 @@ def _first(error: ValidationError, path: Path) -> PanobenchError:
     where = ".".join(str(part) for part in place if isinstance(part, str))
     entry = place[0] if len(place) > 1 else ""
     if kind == "extra_forbidden":
-        model = {"methods": MethodEntry, "datasets": DatasetEntry}.get(str(entry), SuiteFile)
+        models: dict[str, type[BaseModel]] = {"methods": MethodEntry, "datasets": DatasetEntry}
+        model = models.get(str(entry), SuiteFile)
         what = f"key of {entry}" if entry else "suite key"
         return UnknownNameError(what, str(place[-1]), list(model.model_fields))
     if kind == "missing" and entry:

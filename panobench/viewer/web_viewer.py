@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import sys
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,11 @@ Array = NDArray[np.float64]
 PORT = 8080
 
 
+def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
+    """viser greets on standard output, which belongs to results."""
+    return contextlib.redirect_stdout(io.StringIO())
+
+
 class WebViewer:
     """Implements the lifecycle hooks. host: the address that is listened on; port: this one, or the next free one.
 
@@ -36,7 +42,8 @@ class WebViewer:
     def __init__(self, host: str = "localhost", port: int = PORT) -> None:
         """Raises OutputError when nothing can be served there."""
         try:
-            self.server = viser.ViserServer(host=host, port=port, label="panobench", verbose=False)
+            with _quiet():
+                self.server = viser.ViserServer(host=host, port=port, label="panobench", verbose=False)
         except OSError as error:
             raise OutputError(f"--viewer web: {host}:{port} cannot be listened on ({error})") from error
         self.url = f"http://{host}:{self.server.get_port()}"
@@ -53,7 +60,8 @@ class WebViewer:
             print(f"panobench: the run stays at {self.url}; Ctrl-C ends that", file=sys.stderr)
             with contextlib.suppress(KeyboardInterrupt):
                 self.server.sleep_forever()
-        self.server.stop()
+        with _quiet():
+            self.server.stop()
 
     @hookimpl
     def run_started(self, spec: dict[str, Any], sequence: FrameSequence) -> None:
@@ -69,6 +77,8 @@ class WebViewer:
             self.frame.image = shrunk(frame.image, self.camera)
         if T_wc is None:
             return
+        if not self.positions:
+            self._look_from(T_wc)
         self.positions.append(T_wc[:3, 3].copy())
         self._show_camera(T_wc)
         if frame.index % PERIOD:
@@ -95,12 +105,20 @@ class WebViewer:
             self.server.scene.remove_by_name("/map")
             self._show_map(GaussianMap(*read_ply(gaussians)))
 
+    def _look_from(self, T_wc: Array) -> None:
+        """Browsers that come begin where the run began, a step back."""
+        down, ahead, here = T_wc[:3, 1], T_wc[:3, 2], T_wc[:3, 3]
+        self.server.initial_camera.position = here - 0.3 * ahead - 0.15 * down
+        self.server.initial_camera.look_at = here + ahead
+
     def _show_camera(self, T_wc: Array) -> None:
         self.server.scene.add_camera_frustum(
             "/camera",
             fov=1.2,
             aspect=1.6,
             scale=0.12,
+            thickness=2.0,
+            thickness_units="screen",
             color=(255, 160, 0),
             wxyz=quaternion_from_matrix(T_wc[:3, :3]),
             position=T_wc[:3, 3],

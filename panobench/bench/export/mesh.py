@@ -73,7 +73,7 @@ def surface(gaussians: GaussianMap, T_wc: NDArray[np.float64], voxel: float | No
     distance, weight = fuse(depths, chosen, low, shape, size, TRUNCATION * size)
     try:
         vertices, faces, _, _ = marching_cubes(
-            distance, 0.0, mask=_whole_cubes(weight > 0), gradient_direction="ascent"
+            distance, 0.0, mask=_whole_cubes(weight > 0), gradient_direction="descent"
         )
     except (ValueError, RuntimeError) as error:  # no voxel on either side
         raise UsageError(f"no surface was found in the map ({error})") from error
@@ -86,12 +86,12 @@ def surface(gaussians: GaussianMap, T_wc: NDArray[np.float64], voxel: float | No
 
 
 def _whole_cubes(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether all corners of the cube that begins at a voxel were seen: no surface stands where sight ends."""
+    """Whether all corners of the cube that ends at a voxel were seen: no surface stands where sight ends."""
     whole = np.zeros_like(seen)
     corners = [
         seen[i : i - 1 or None, j : j - 1 or None, k : k - 1 or None] for i in (0, 1) for j in (0, 1) for k in (0, 1)
     ]
-    whole[:-1, :-1, :-1] = np.logical_and.reduce(corners)
+    whole[1:, 1:, 1:] = np.logical_and.reduce(corners)
     return whole
 
 

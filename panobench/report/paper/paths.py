@@ -61,7 +61,7 @@ def paths(runs: Sequence[Run], labels: Sequence[str], scaled: bool, style: Style
 
 def _lying(runs: Sequence[Run]) -> Array:
     """Turns the plan of an upright world so that its longer side lies flat."""
-    having = [r.groundtruth or r.trajectory for r in runs if r.groundtruth is not None or r.trajectory is not None]
+    having = [path for r in runs if (path := r.groundtruth or r.trajectory) is not None]
     plan = max(having, key=len).positions @ upright(runs).T if having else np.zeros((1, 3))
     _, axes = np.linalg.eigh(np.cov(plan[:, :2].T) if len(plan) > 2 else np.eye(2))
     x, y = axes[:, 1] * np.sign(axes[0, 1] or 1.0)
