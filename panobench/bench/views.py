@@ -170,9 +170,10 @@ class FrameReader:
                 f"the lenses' pictures are {[p.shape for p in pictures]}, expected {shapes} uint8",
                 frame=sequence.frame_name(index),
             )
-        shown = [True] * len(rig) if mask is None else seen_in_panorama(rig, sequence.camera, mask)
-        for picture, lens, seen in zip(pictures, rig.lenses, shown):
-            picture[~(lens.camera.valid_mask() & seen)] = 0
+        if mask is not None:
+            rig = rig.with_masks(seen_in_panorama(rig, sequence.camera, mask))
+        for picture, lens in zip(pictures, rig.lenses):
+            picture[~lens.camera.valid_mask()] = 0
         return pictures
 
 

@@ -24,6 +24,7 @@ METHODS: tuple[MethodSpec, ...] = (
         "panobench.methods.sparse.method:SparseMethod",
         cameras=("erp", "pal", "fisheye", "pinhole", "ds", "eucm", "omni", "cubemap"),
         colour=False,
+        rigs=True,
         licence="GPL-3.0-or-later",
         citation="panobench's own; Nister 2004 (five-point); Baker & Matthews 2004, Forster et al. 2014 (patches)",
         install="built in",

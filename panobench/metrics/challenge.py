@@ -40,4 +40,4 @@ def challenge_metrics(data: MetricInput) -> dict[str, float | None]:
 
 def score(errors: NDArray[np.float64]) -> float:
     """Mean points of position errors (N,) in metres, at most 100."""
-    return float(min(100.0, np.mean(100.0 * np.exp(-DECAY * np.abs(errors)))))
+    return min(100.0, float(np.mean(100.0 * np.exp(-DECAY * np.abs(errors)))))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.methods.sparse.adjust import pose_errors, solve_pose
+from panobench.methods.sparse.lenses import Lenses
 
 Array = NDArray[np.float64]
 
@@ -68,20 +69,31 @@ def pose_ransac(
     threshold: float = 3.0,
     iterations: int = 200,
     minimum: int = 12,
+    lenses: Lenses | None = None,
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """World-to-camera pose (4, 4) and inliers (N,) of points (N, 3) seen along bearings (N, 3).
 
-    ``threshold`` is in pixels of ``focal``. None with fewer than ``minimum`` inliers.
+    ``threshold`` is in pixels of ``focal``. None with fewer than ``minimum`` inliers. lenses: where bearings begin; a
+    sample is of one lens then, and its pose is moved to the rig.
     """
     n = len(points)
     if n < minimum:
         return None
     best, best_score, tried = None, -1.0, 0
+    origins = None if lenses is None else lenses.origins(bearings)
+    groups = None if lenses is None or origins is None else _of_one_lens(lenses.of(bearings))
+    if groups is not None and not groups:
+        return None
     while tried < iterations:
         tried += 1
-        sample = rng.choice(n, 3, replace=False)
+        if groups is None:
+            sample = rng.choice(n, 3, replace=False)
+        else:
+            sample = rng.choice(groups[int(rng.integers(len(groups)))], 3, replace=False)
         for T in p3p(points[sample], bearings[sample]):
-            e = pose_errors(T, points, bearings, focal)
+            if origins is not None:
+                T[:3, 3] += origins[sample[0]]
+            e = pose_errors(T, points, bearings, focal, origins)
             score = float(np.maximum(0.0, 1 - (e / threshold) ** 2).sum())
             if score > best_score:
                 best, best_score = T, score
@@ -90,10 +102,17 @@ def pose_ransac(
                 iterations = int(min(iterations, max(10, needed)))
     if best is None:
         return None
-    inliers = pose_errors(best, points, bearings, focal) < threshold
+    inliers = pose_errors(best, points, bearings, focal, origins) < threshold
     for _ in range(3):
         if int(inliers.sum()) < minimum:
             return None
-        best = solve_pose(best, points[inliers], bearings[inliers], focal, 1.0)
-        inliers = pose_errors(best, points, bearings, focal) < threshold
+        begin = None if origins is None else origins[inliers]
+        best = solve_pose(best, points[inliers], bearings[inliers], focal, 1.0, origins=begin)
+        inliers = pose_errors(best, points, bearings, focal, origins) < threshold
     return (best, inliers) if int(inliers.sum()) >= minimum else None
+
+
+def _of_one_lens(lens: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Indices by lens, of those with at least three."""
+    groups = [np.flatnonzero(lens == k) for k in np.unique(lens)]
+    return [group for group in groups if len(group) >= 3]

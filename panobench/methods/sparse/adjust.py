@@ -1,7 +1,8 @@
 """Least squares on bearing vectors: pose from known points, and bundle adjustment with the Schur complement.
 
 The residual is the direction of a point in the camera minus its measured bearing, on the bearing's tangent plane,
-times ``focal``. This is in pixels of a face's centre, everywhere on the sphere and for every camera model. Solved by
+times ``focal``. This is in pixels of a face's centre, everywhere on the sphere and for every camera model. Each bearing
+begins at an origin in the camera's axes: the centre of the lens that saw it, zero for a central camera. Solved by
 Levenberg-Marquardt with Huber weights and the left perturbation T_cw <- exp(xi) T_cw, xi = (translation, rotation).
 Schur complement: Triggs et al., "Bundle adjustment - a modern synthesis" (1999).
 """
@@ -52,12 +53,16 @@ def _exp(xi, R, t):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _residual(R, t, X, b, focal, J, Y):  # type: ignore[no-untyped-def]
-    """Residual (2,) in pixels. Writes the point in the camera frame to Y (3,) and the derivative by it to J (2, 3)."""
+def _residual(R, t, X, c, b, focal, J, Y):  # type: ignore[no-untyped-def]
+    """Residual (2,) in pixels of a bearing b that begins at c, both (3,) in the camera frame.
+
+    Writes the point in the camera frame to Y (3,) and the derivative by it to J (2, 3).
+    """
     for r in range(3):
         Y[r] = R[r, 0] * X[0] + R[r, 1] * X[1] + R[r, 2] * X[2] + t[r]
-    norm = math.sqrt(Y[0] * Y[0] + Y[1] * Y[1] + Y[2] * Y[2]) + 1e-12
-    m0, m1, m2 = Y[0] / norm, Y[1] / norm, Y[2] / norm
+    d0, d1, d2 = Y[0] - c[0], Y[1] - c[1], Y[2] - c[2]
+    norm = math.sqrt(d0 * d0 + d1 * d1 + d2 * d2) + 1e-12
+    m0, m1, m2 = d0 / norm, d1 / norm, d2 / norm
     ax, ay, az, cx, cy, cz = tangent_basis(b[0], b[1], b[2])
     e0, e1 = ax * m0 + ay * m1 + az * m2, cx * m0 + cy * m1 + cz * m2
     s = focal / norm
@@ -78,23 +83,23 @@ def _pose_row(J, Y, i, row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _pose_cost(R, t, X, b, focal, huber):  # type: ignore[no-untyped-def]
+def _pose_cost(R, t, X, o, b, focal, huber):  # type: ignore[no-untyped-def]
     J, Y = np.empty((2, 3)), np.empty(3)
     cost = 0.0
     for n in range(len(X)):
-        e0, e1 = _residual(R, t, X[n], b[n], focal, J, Y)
+        e0, e1 = _residual(R, t, X[n], o[n], b[n], focal, J, Y)
         q = e0 * e0 + e1 * e1
         cost += q if q < huber * huber else 2 * huber * math.sqrt(q) - huber * huber
     return cost
 
 
 @njit(cache=True)
-def _pose_system(R, t, X, b, focal, huber, H, g):  # type: ignore[no-untyped-def]
+def _pose_system(R, t, X, o, b, focal, huber, H, g):  # type: ignore[no-untyped-def]
     """Normal equations of one pose: adds to H (6, 6) and g (6,)."""
     J, Y = np.empty((2, 3)), np.empty(3)
     row = np.empty(6)
     for n in range(len(X)):
-        e0, e1 = _residual(R, t, X[n], b[n], focal, J, Y)
+        e0, e1 = _residual(R, t, X[n], o[n], b[n], focal, J, Y)
         q = math.sqrt(e0 * e0 + e1 * e1)
         w = 1.0 if q < huber else huber / q
         for i in range(2):
@@ -107,28 +112,39 @@ def _pose_system(R, t, X, b, focal, huber, H, g):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True)
-def _errors(R, t, kf, pt, X, b, focal, out):  # type: ignore[no-untyped-def]
+def _errors(R, t, kf, pt, X, o, b, focal, out):  # type: ignore[no-untyped-def]
     J, Y = np.empty((2, 3)), np.empty(3)
     for n in range(len(kf)):
-        e0, e1 = _residual(R[kf[n]], t[kf[n]], X[pt[n]], b[n], focal, J, Y)
+        e0, e1 = _residual(R[kf[n]], t[kf[n]], X[pt[n]], o[n], b[n], focal, J, Y)
         out[n] = math.sqrt(e0 * e0 + e1 * e1)
 
 
-def solve_pose(T_cw: Array, points: Array, bearings: Array, focal: float, huber: float, iterations: int = 10) -> Array:
-    """World-to-camera pose (4, 4) that fits points (N, 3) seen along bearings (N, 3) best; ``T_cw`` is the start."""
+def solve_pose(
+    T_cw: Array,
+    points: Array,
+    bearings: Array,
+    focal: float,
+    huber: float,
+    iterations: int = 10,
+    origins: Array | None = None,
+) -> Array:
+    """World-to-camera pose (4, 4) that fits points (N, 3) seen along bearings (N, 3) best; ``T_cw`` is the start.
+
+    origins (N, 3): where the bearings begin in the camera's axes; None: at its centre.
+    """
     if len(points) < 3:
         return T_cw
-    X, b = np.ascontiguousarray(points), np.ascontiguousarray(bearings)
+    X, b, o = np.ascontiguousarray(points), np.ascontiguousarray(bearings), _origins(origins, len(points))
     R, t = T_cw[:3, :3].copy(), T_cw[:3, 3].copy()
-    cost, damping = _pose_cost(R, t, X, b, focal, huber), 1e-4
+    cost, damping = _pose_cost(R, t, X, o, b, focal, huber), 1e-4
     for _ in range(iterations):
         H, g = np.zeros((6, 6)), np.zeros(6)
-        _pose_system(R, t, X, b, focal, huber, H, g)
+        _pose_system(R, t, X, o, b, focal, huber, H, g)
         new = cost
         for _ in range(5):
             R2, t2 = R.copy(), t.copy()
             _exp(-np.linalg.solve(H + np.diag(damping * np.diag(H) + 1e-9), g), R2, t2)
-            new = _pose_cost(R2, t2, X, b, focal, huber)
+            new = _pose_cost(R2, t2, X, o, b, focal, huber)
             if new < cost:
                 break
             damping *= 10
@@ -143,28 +159,33 @@ def solve_pose(T_cw: Array, points: Array, bearings: Array, focal: float, huber:
     return renormalise(T)
 
 
-def pose_errors(T_cw: Array, points: Array, bearings: Array, focal: float) -> Array:
+def _origins(origins: Array | None, count: int) -> Array:
+    return np.zeros((count, 3)) if origins is None else np.ascontiguousarray(origins, dtype=np.float64)
+
+
+def pose_errors(T_cw: Array, points: Array, bearings: Array, focal: float, origins: Array | None = None) -> Array:
     """Lengths (N,) of the residuals in pixels."""
+    o = _origins(origins, len(points))
     out = np.empty(len(points))
     zero, index = np.zeros(len(points), np.int64), np.arange(len(points))
     R, t = np.ascontiguousarray(T_cw[None, :3, :3]), np.ascontiguousarray(T_cw[None, :3, 3])
-    _errors(R, t, zero, index, np.ascontiguousarray(points), np.ascontiguousarray(bearings), focal, out)
+    _errors(R, t, zero, index, np.ascontiguousarray(points), o, np.ascontiguousarray(bearings), focal, out)
     return out
 
 
 @njit(cache=True)
-def _ba_cost(R, t, X, kf, pt, b, focal, huber):  # type: ignore[no-untyped-def]
+def _ba_cost(R, t, X, kf, pt, o, b, focal, huber):  # type: ignore[no-untyped-def]
     J, Y = np.empty((2, 3)), np.empty(3)
     cost = 0.0
     for n in range(len(kf)):
-        e0, e1 = _residual(R[kf[n]], t[kf[n]], X[pt[n]], b[n], focal, J, Y)
+        e0, e1 = _residual(R[kf[n]], t[kf[n]], X[pt[n]], o[n], b[n], focal, J, Y)
         q = e0 * e0 + e1 * e1
         cost += q if q < huber * huber else 2 * huber * math.sqrt(q) - huber * huber
     return cost
 
 
 @njit(cache=True)
-def _ba_system(R, t, X, kf, pt, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hcp):  # type: ignore[no-untyped-def]
+def _ba_system(R, t, X, kf, pt, o, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hcp):  # type: ignore[no-untyped-def]
     """Normal equations: adds to Hc (C, 6, 6), gc (C, 6), Hp (P, 3, 3), gp (P, 3) and Hcp (N, 6, 3).
 
     slot (K,): a keyframe's position among the free poses, negative if its pose is fixed.
@@ -174,7 +195,7 @@ def _ba_system(R, t, X, kf, pt, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hc
     for n in range(len(kf)):
         k, p = kf[n], pt[n]
         Rk = R[k]
-        e0, e1 = _residual(Rk, t[k], X[p], b[n], focal, J, Y)
+        e0, e1 = _residual(Rk, t[k], X[p], o[n], b[n], focal, J, Y)
         q = math.sqrt(e0 * e0 + e1 * e1)
         w = 1.0 if q < huber else huber / q
         s = slot[k]
@@ -283,14 +304,17 @@ def bundle_adjust(
     focal: float,
     huber: float,
     iterations: int = 8,
+    origins: Array | None = None,
 ) -> BundleResult:
     """Refine the poses (K, 4, 4) that are not ``fixed`` (K,), and all points (P, 3).
 
-    Observation n: keyframe[n] saw point[n] along the unit vector bearings[n]. Observations can be in any order.
+    Observation n: keyframe[n] saw point[n] along the unit vector bearings[n], which begins at origins[n] in the
+    keyframe's axes (None: at its centre). Observations can be in any order.
     """
     order = np.lexsort((keyframe, point))
     kf, pt = keyframe[order].astype(np.int64), point[order].astype(np.int64)
     b = np.ascontiguousarray(bearings[order], dtype=np.float64)
+    o = _origins(None if origins is None else origins[order], len(order))
     first = np.searchsorted(pt, np.arange(len(points) + 1)).astype(np.int64)
     slot = np.where(fixed, -1, np.cumsum(~fixed) - 1).astype(np.int64)
     free = int((~fixed).sum())
@@ -300,12 +324,12 @@ def bundle_adjust(
     Hp, gp, Hp_inv = np.empty((len(X), 3, 3)), np.empty((len(X), 3)), np.empty((len(X), 3, 3))
     Hcp = np.empty((len(kf), 6, 3))
     S, g, X2 = np.empty((6 * free, 6 * free)), np.empty(6 * free), np.empty_like(X)
-    cost = _ba_cost(R, t, X, kf, pt, b, focal, huber)
+    cost = _ba_cost(R, t, X, kf, pt, o, b, focal, huber)
     damping = 1e-4
     for _ in range(iterations):
         for array in (Hc, gc, Hp, gp, Hcp):
             array.fill(0.0)
-        _ba_system(R, t, X, kf, pt, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hcp)
+        _ba_system(R, t, X, kf, pt, o, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hcp)
         improved = False
         for _ in range(5):
             S.fill(0.0)
@@ -317,7 +341,7 @@ def bundle_adjust(
             for k in np.flatnonzero(slot >= 0):
                 _exp(x[6 * slot[k] : 6 * slot[k] + 6], R2[k], t2[k])
             _back_substitute(kf, first, slot, Hcp, gp, Hp_inv, x, X, X2)
-            new = _ba_cost(R2, t2, X2, kf, pt, b, focal, huber)
+            new = _ba_cost(R2, t2, X2, kf, pt, o, b, focal, huber)
             if new < cost:
                 improved = True
                 break
@@ -330,12 +354,44 @@ def bundle_adjust(
         if small:
             break
     errors = np.empty(len(kf))
-    _errors(R, t, kf, pt, X, b, focal, errors)
+    _errors(R, t, kf, pt, X, o, b, focal, errors)
     out = np.empty_like(errors)
     out[order] = errors
     T = np.tile(np.eye(4), (len(T_cw), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R, t
     return BundleResult(renormalise(T), X.copy(), out, cost)
+
+
+def pose_information(
+    T_cw: Array,
+    points: Array,
+    keyframe: NDArray[np.int64],
+    point: NDArray[np.int64],
+    bearings: Array,
+    fixed: NDArray[np.bool_],
+    focal: float,
+    huber: float,
+    origins: Array | None = None,
+) -> Array:
+    """Normal matrix (6F, 6F) of the F poses that are not ``fixed``, (translation, rotation) each, points eliminated.
+
+    Arguments as for ``bundle_adjust``. In squared pixels: divided by the residuals' variance it is the information.
+    """
+    order = np.lexsort((keyframe, point))
+    kf, pt = keyframe[order].astype(np.int64), point[order].astype(np.int64)
+    b = np.ascontiguousarray(bearings[order], dtype=np.float64)
+    o = _origins(None if origins is None else origins[order], len(order))
+    first = np.searchsorted(pt, np.arange(len(points) + 1)).astype(np.int64)
+    slot = np.where(fixed, -1, np.cumsum(~fixed) - 1).astype(np.int64)
+    free, count = int((~fixed).sum()), len(points)
+    R, t = np.ascontiguousarray(T_cw[:, :3, :3]), np.ascontiguousarray(T_cw[:, :3, 3])
+    X = np.ascontiguousarray(points, dtype=np.float64)
+    Hc, gc = np.zeros((free, 6, 6)), np.zeros((free, 6))
+    Hp, gp, Hcp = np.zeros((count, 3, 3)), np.zeros((count, 3)), np.zeros((len(kf), 6, 3))
+    _ba_system(R, t, X, kf, pt, o, b, first, slot, focal, huber, Hc, gc, Hp, gp, Hcp)
+    S, g = np.zeros((6 * free, 6 * free)), np.zeros(6 * free)
+    _schur(kf, first, slot, Hc, gc, Hp, gp, Hcp, 0.0, S, g, np.zeros((count, 3, 3)))
+    return _symmetric(S)
 
 
 def _symmetric(S: Array) -> Array:

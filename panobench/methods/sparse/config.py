@@ -32,6 +32,7 @@ class SparseConfig(Options):
     window: int = option(8, "keyframes refined by the local bundle adjustment", above=0)
     min_inliers: int = option(20, "with fewer inliers than this the frame is lost", above=0)
     loops: bool = option(True, "look for loop closures")
+    rig: bool = option(True, "see through each lens of a rig from its own centre; off: through the stitched panorama")
     restart_after: int = option(
         20, "lost frames in a row after which a new map begins; the longest map is the answer", unit="frames"
     )

@@ -7,13 +7,15 @@ view is one face, which is resampled only if the camera has distortion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.methods.sparse.lenses import Lenses
+from panobench.methods.sparse.patches import cut_templates
 
 Array = NDArray[np.float64]
 
@@ -34,7 +36,7 @@ class FaceSet:
     k + 0.5. valid (F, H, W): the pixel shows something. core (F, H, W): valid, away from edges, and nearest to this
     face; corners are detected there. focal: pixels per radian, the unit of residuals. map_u, map_v (F * H, W): where
     each face pixel lies in the image; None if the image itself is the face. wraps: the image is a closed panorama.
-    source_scale: face pixels per image pixel.
+    source_scale: face pixels per image pixel. lenses: where bearings begin.
     """
 
     R_fc: Array
@@ -47,6 +49,7 @@ class FaceSet:
     map_v: NDArray[np.float32] | None
     wraps: bool = False
     source_scale: float = 1.0
+    lenses: Lenses = field(default_factory=Lenses)
 
     @property
     def count(self) -> int:
@@ -75,6 +78,10 @@ class FaceSet:
             out.append(np.asarray(tall, dtype=np.uint8).reshape(self.count, h >> level, w >> level))
         return out
 
+    def templates(self, pyramid: list[NDArray[np.uint8]], bearings: Array) -> NDArray[np.float32]:
+        """Templates (N, levels, 16, 16) around bearings (N, 3); see ``cut_templates``."""
+        return cut_templates(pyramid, self.R_fc, self.intrinsics, bearings, self.focal)
+
     def rays(self, face: int, pixels: Array) -> Array:
         """Pixels (N, 2) of one face -> unit rays (N, 3) in the camera frame."""
         fx, fy, cx, cy = self.intrinsics
@@ -102,7 +109,8 @@ def build_faces(camera: Camera, max_pixels: int, levels: int) -> FaceSet:
     return _cube(camera, usable, pixel_angle, max_pixels, multiple)
 
 
-def _round_up(value: float, multiple: int) -> int:
+def round_up(value: float, multiple: int) -> int:
+    """The least multiple that is not smaller."""
     return int(np.ceil(value / multiple)) * multiple
 
 
@@ -118,16 +126,16 @@ def _single_face(
         float(np.abs(fx * x + cx - grid[..., 0])[usable].max()), float(np.abs(fy * y + cy - grid[..., 1])[usable].max())
     )
     if straight < 0.02 and camera.width * camera.height <= max_pixels:
-        h, w = _round_up(camera.height, multiple), _round_up(camera.width, multiple)
+        h, w = round_up(camera.height, multiple), round_up(camera.width, multiple)
         mask = np.zeros((1, h, w), bool)
         mask[0, : camera.height, : camera.width] = camera.valid_mask()
         intrinsics = np.array([fx, fy, cx, cy])
         return FaceSet(np.eye(3)[None], intrinsics, (h, w), mask, _erode(mask), float(np.sqrt(fx * fy)), None, None)
     x0, x1, y0, y1 = (float(f(a[usable])) for a in (x, y) for f in (np.min, np.max))
     focal = min(1.0 / pixel_angle, float(np.sqrt(max_pixels / ((x1 - x0) * (y1 - y0)))))
-    w, h = _round_up(focal * (x1 - x0), multiple), _round_up(focal * (y1 - y0), multiple)
+    w, h = round_up(focal * (x1 - x0), multiple), round_up(focal * (y1 - y0), multiple)
     intrinsics = np.array([focal, focal, -focal * x0, -focal * y0])
-    return _resampled(camera, np.eye(3)[None], intrinsics, (h, w), focal, pixel_angle, wide=False)
+    return resampled(camera, np.eye(3)[None], intrinsics, (h, w), focal, pixel_angle, wide=False)
 
 
 def _cube(camera: Camera, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int) -> FaceSet:
@@ -149,12 +157,12 @@ def _cube(camera: Camera, usable: NDArray[np.bool_], pixel_angle: float, max_pix
         sides = sides[share > 0.05]
     widest = np.sqrt(max_pixels / max(1, len(sides))) / 2 - MARGIN
     focal = float(min(1.0 / pixel_angle, widest))
-    half = _round_up(2 * (focal + MARGIN), 2 * multiple) // 2
+    half = round_up(2 * (focal + MARGIN), 2 * multiple) // 2
     intrinsics = np.array([focal, focal, float(half), float(half)])
-    return _resampled(camera, sides, intrinsics, (2 * half, 2 * half), focal, pixel_angle, wide=True)
+    return resampled(camera, sides, intrinsics, (2 * half, 2 * half), focal, pixel_angle, wide=True)
 
 
-def _resampled(
+def resampled(
     camera: Camera,
     R_fc: Array,
     intrinsics: Array,
@@ -163,6 +171,7 @@ def _resampled(
     pixel_angle: float,
     wide: bool,
 ) -> FaceSet:
+    """Faces that look along ``R_fc`` (F, 3, 3), cut out of the camera's image. ``wide``: they are sides of a cube."""
     h, w = size
     fx, fy, cx, cy = intrinsics
     u, v = np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5)

@@ -14,7 +14,8 @@ from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners
 from panobench.methods.sparse.faces import FaceSet
-from panobench.methods.sparse.patches import align_level, cut_templates
+from panobench.methods.sparse.mapping import ray_distance
+from panobench.methods.sparse.patches import align_level
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, Keyframe, PointMap
 from panobench.methods.sparse.tracking import LIMITS, Pyramid
 from panobench.methods.sparse.twoview import essential_ransac
@@ -55,9 +56,7 @@ class Initialiser:
         if len(corners) < 2 * self.config.min_inliers:
             return
         self.anchors = corners
-        self.templates = cut_templates(
-            pyramid, self.face_set.R_fc, self.face_set.intrinsics, corners, self.face_set.focal
-        )
+        self.templates = self.face_set.templates(pyramid, corners)
         self.current = corners.copy()
         self.alive = np.ones(len(corners), bool)
         self.history = [InitialFrame(index, time, True, np.eye(3), np.arange(len(corners)), corners.copy())]
@@ -105,6 +104,7 @@ class Initialiser:
         for level in range(len(pyramid) - 1, -1, -1):
             before = ok.copy()
             kept = bearings.copy()
+            lens = self.face_set.lenses.of(bearings)
             score = align_level(
                 self.pool,
                 pyramid[level],
@@ -122,6 +122,8 @@ class Initialiser:
                 ok,
                 LIMITS[min(len(pyramid) - 1 - level, len(LIMITS) - 1)] * (1.5 if level else 1.0),
             )
+            if self.face_set.lenses.several:  # measured in the picture of a lens that it left
+                ok &= self.face_set.lenses.of(bearings) == lens
             if level > 0:  # corners without texture on a coarse level stay where they were
                 failed = before & (~ok | (score < 0.5))
                 bearings[failed] = kept[failed]
@@ -138,17 +140,12 @@ class Initialiser:
     def _build(self, pyramid: Pyramid) -> PointMap | None:
         focal = self.face_set.focal
         last = self.history[-1]
-        b1, b2 = self.anchors[last.tracks], last.bearings
-        two = essential_ransac(b1, b2, 1.5 / focal, self.rng, 200, np.deg2rad(0.3))
-        if two is None or int(two.inliers.sum()) < max(2 * self.config.min_inliers, 0.5 * len(b1)):
+        start = self._two_views(last)
+        if start is None:
             return None
-        tracks = last.tracks[two.inliers]
-        points = two.points[two.inliers]
-        distance = np.linalg.norm(points, axis=1)
-        scale = MEDIAN_DISTANCE / float(np.median(distance))
-        points, t = points * scale, two.t * scale
+        T_last, points, tracks = start
         frames = self._intermediate_frames()
-        T = [np.eye(4), *self._intermediate_poses(frames, points, tracks, make_pose(two.R, t)), make_pose(two.R, t)]
+        T = [np.eye(4), *self._intermediate_poses(frames, points, tracks, T_last), T_last]
         chosen = [0, *frames, len(self.history) - 1]
         slot = np.full(len(self.anchors), -1)
         slot[tracks] = np.arange(len(tracks))
@@ -161,7 +158,8 @@ class Initialiser:
         kfs, pts, bs = np.concatenate(kf), np.concatenate(pt), np.concatenate(b)
         fixed = np.zeros(len(chosen), bool)
         fixed[0] = True
-        result = bundle_adjust(np.stack(T), points, kfs, pts, bs, fixed, focal, self.config.huber_px, 20)
+        origins = self.face_set.lenses.origins(bs)
+        result = bundle_adjust(np.stack(T), points, kfs, pts, bs, fixed, focal, self.config.huber_px, 20, origins)
         worst = np.zeros(len(points))
         np.maximum.at(worst, pts, result.errors)
         centre = -result.T_cw[-1, :3, :3].T @ result.T_cw[-1, :3, 3]
@@ -172,6 +170,42 @@ class Initialiser:
             return None
         scale = MEDIAN_DISTANCE / float(np.median(np.linalg.norm(result.points[good], axis=1)))
         return self._make_map(result.points * scale, tracks, good, result.T_cw, chosen, scale)
+
+    def _two_views(self, last: InitialFrame) -> tuple[Array, Array, NDArray[np.int64]] | None:
+        """T_cw (4, 4) of the last frame, points (P, 3) and their tracks (P,), at a median distance of two."""
+        lenses, focal = self.face_set.lenses, self.face_set.focal
+        tracks, b2 = last.tracks, last.bearings
+        if lenses.several:  # the essential matrix is that of one lens, the one that sees most tracks in both frames
+            own, now = lenses.of(self.anchors[tracks]), lenses.of(b2)
+            most = int(np.argmax(np.bincount(own[own == now], minlength=len(lenses.centres))))
+            one = (own == most) & (now == most)
+            tracks, b2 = tracks[one], b2[one]
+        b1 = self.anchors[tracks]
+        two = essential_ransac(b1, b2, 1.5 / focal, self.rng, 200, np.deg2rad(0.3))
+        if two is None or int(two.inliers.sum()) < max(2 * self.config.min_inliers, 0.5 * len(b1)):
+            return None
+        tracks, points = tracks[two.inliers], two.points[two.inliers]
+        scale = MEDIAN_DISTANCE / float(np.median(np.linalg.norm(points, axis=1)))
+        points, t = points * scale, two.t * scale
+        if not lenses.several:
+            return make_pose(two.R, t), points, tracks
+        centre = lenses.centres[most]
+        T_last = make_pose(two.R, t + centre - two.R @ centre)
+        points, others = points + centre, np.setdiff1d(last.tracks, tracks)
+        more, placed = self._seen_by_others(last, T_last, others)
+        return T_last, np.concatenate([points, more]), np.concatenate([tracks, placed])
+
+    def _seen_by_others(
+        self, last: InitialFrame, T_last: Array, tracks: NDArray[np.int64]
+    ) -> tuple[Array, NDArray[np.int64]]:
+        """Points (P, 3) of tracks that a rig's other lenses see, from a motion that is known, and these tracks."""
+        lenses = self.face_set.lenses
+        b1, b2 = self.anchors[tracks], last.bearings[np.searchsorted(last.tracks, tracks)]
+        T = np.broadcast_to(T_last, (len(tracks), 4, 4))
+        distance, angle = ray_distance(b1, b2, T[:, :3, :3], lenses.between(T, b1, b2))
+        good = (distance > 0.1 * MEDIAN_DISTANCE) & (distance < 20 * MEDIAN_DISTANCE) & (angle > np.deg2rad(0.3))
+        eye = np.broadcast_to(np.eye(4), (int(good.sum()), 4, 4))
+        return lenses.places(eye, b1[good], distance[good]), tracks[good]
 
     def _intermediate_frames(self) -> list[int]:
         """Positions of up to three mappable frames between the two views."""
@@ -187,9 +221,7 @@ class Initialiser:
         point_of_track = np.full(len(self.anchors), -1)
         point_of_track[tracks] = np.arange(len(tracks))
         return [
-            solve_initial_frame(
-                self.history[g], points, point_of_track, T_last, self.face_set.focal, len(self.history), g
-            )
+            solve_initial_frame(self.history[g], points, point_of_track, T_last, self.face_set, len(self.history), g)
             for g in frames
         ]
 
@@ -202,7 +234,7 @@ class Initialiser:
         chosen: list[int],
         scale: float,
     ) -> PointMap:
-        m = PointMap(self.templates.shape[1])
+        m = PointMap(self.templates.shape[1], self.face_set.lenses)
         # All other corners are tracked on as candidates at the median distance.
         position = self.anchors * MEDIAN_DISTANCE
         position[tracks[good]] = points[good]
@@ -232,7 +264,7 @@ def solve_initial_frame(
     points: Array,
     point_of_track: NDArray[np.int64],
     T_last: Array,
-    focal: float,
+    face_set: FaceSet,
     count: int,
     position: int,
 ) -> Array:
@@ -240,9 +272,11 @@ def solve_initial_frame(
     T = make_pose(initial.rotation, T_last[:3, 3] * position / max(1, count - 1))
     use = point_of_track[initial.tracks] >= 0
     X, b = points[point_of_track[initial.tracks[use]]], initial.bearings[use]
-    T = solve_pose(T, X, b, focal, 1.0, 20)
-    near = pose_errors(T, X, b, focal) < 3.0
-    return solve_pose(T, X[near], b[near], focal, 1.0, 10) if int(near.sum()) >= 6 else T
+    focal, origins = face_set.focal, face_set.lenses.origins(b)
+    T = solve_pose(T, X, b, focal, 1.0, 20, origins)
+    near = pose_errors(T, X, b, focal, origins) < 3.0
+    kept = None if origins is None else origins[near]
+    return solve_pose(T, X[near], b[near], focal, 1.0, 10, kept) if int(near.sum()) >= 6 else T
 
 
 def _angle_between(a: Array, b: Array) -> Array:

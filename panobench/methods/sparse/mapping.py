@@ -12,7 +12,6 @@ from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners
 from panobench.methods.sparse.faces import FaceSet
-from panobench.methods.sparse.patches import cut_templates
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, Keyframe, PointMap
 
 Array = NDArray[np.float64]
@@ -55,7 +54,7 @@ def add_candidates(
         gap, near = cKDTree(seen[known]).query(fresh, k=3)
         weight = 1.0 / (gap + 1e-3)
         distance = np.sum(weight, axis=1) / np.sum(weight / depth[near], axis=1)
-    templates = cut_templates(pyramid, face_set.R_fc, face_set.intrinsics, fresh, face_set.focal)
+    templates = face_set.templates(pyramid, fresh)
     ids = m.add(
         len(fresh),
         state=CANDIDATE,
@@ -63,13 +62,20 @@ def add_candidates(
         anchor_bearing=fresh,
         bearing=fresh,
         last_seen=keyframe.frame,
-        position=(fresh * distance[:, None]) @ T_wc[:3, :3].T + T_wc[:3, 3],
+        position=_placed(m, T_wc, fresh, distance),
         template=templates,
         descriptor=describe(templates),
     )
     keyframe.points = np.concatenate([keyframe.points, ids])
     keyframe.bearings = np.concatenate([keyframe.bearings, fresh])
     return len(fresh)
+
+
+def _placed(m: PointMap, T_wc: Array, bearings: Array, distance: Array) -> Array:
+    """World points (N, 3) along bearings (N, 3) of one camera."""
+    local = bearings * distance[:, None]
+    origins = m.lenses.origins(bearings)
+    return np.asarray((local if origins is None else local + origins) @ T_wc[:3, :3].T + T_wc[:3, 3])
 
 
 def promote_candidates(m: PointMap, config: SparseConfig, keyframe: Keyframe) -> int:
@@ -81,12 +87,11 @@ def promote_candidates(m: PointMap, config: SparseConfig, keyframe: Keyframe) ->
     ids = keyframe.points[mine]
     T_wa = invert_pose(m.poses())[m.anchor[ids]]
     rel = keyframe.T_cw @ T_wa
-    distance, angle = ray_distance(m.anchor_bearing[ids], keyframe.bearings[mine], rel[:, :3, :3], rel[:, :3, 3])
+    t = m.lenses.between(rel, m.anchor_bearing[ids], keyframe.bearings[mine])
+    distance, angle = ray_distance(m.anchor_bearing[ids], keyframe.bearings[mine], rel[:, :3, :3], t)
     good = (distance > 0) & (angle > np.deg2rad(config.min_parallax))
     ids, distance, T_wa = ids[good], distance[good], T_wa[good]
-    m.position[ids] = (
-        np.einsum("nij,nj->ni", T_wa[:, :3, :3], m.anchor_bearing[ids] * distance[:, None]) + T_wa[:, :3, 3]
-    )
+    m.position[ids] = m.lenses.places(T_wa, m.anchor_bearing[ids], distance)
     m.state[ids] = ACTIVE
     return len(ids)
 
@@ -97,35 +102,34 @@ def drop_lost_candidates(m: PointMap, misses: int = 3) -> None:
     m.state[dead] = DEAD
 
 
-def adjust_window(m: PointMap, config: SparseConfig, focal: float, members: list[int], iterations: int) -> float:
+def adjust_window(
+    m: PointMap, config: SparseConfig, focal: float, members: list[int], iterations: int, free_scale: bool = False
+) -> float:
     """Bundle adjustment of some keyframes and the points they see. Other keyframes that see the points are fixed.
 
-    Drops outlier observations, and points with fewer than two observations left. Returns the RMS in pixels.
+    Drops outlier observations, and points with fewer than two observations left. Returns the RMS in pixels. The scale
+    of a rig's map, which a few keyframes hardly tell, is held by the first two unless it is to be free.
     """
     chosen = np.zeros(m.size, bool)
     for number in members:
         chosen[m.keyframes[number].points] = True
     chosen &= m.state == ACTIVE
-    kf_list, pt_list, b_list, at_list = [], [], [], []
-    for k in _observing_keyframes(m, members, chosen):
-        use = np.flatnonzero(chosen[k.points])
-        if len(use) == 0:
-            continue
-        kf_list.append(np.full(len(use), k.number))
-        pt_list.append(k.points[use])
-        b_list.append(k.bearings[use])
-        at_list.append(use)
-    if not kf_list:
+    seen = observations(_observing_keyframes(m, members, chosen), chosen)
+    if seen is None:
         return 0.0
-    kf, pt, b = np.concatenate(kf_list), np.concatenate(pt_list), np.concatenate(b_list)
-    at = np.concatenate(at_list)
+    kf, pt, b, at = seen
     numbers, kf_local = np.unique(kf, return_inverse=True)
     ids, pt_local = np.unique(pt, return_inverse=True)
     fixed = ~np.isin(numbers, members)
     if not fixed.any():
         fixed[np.argmin(numbers)] = True  # fixes the gauge
+        if m.lenses.several and not free_scale and len(numbers) > 1:
+            fixed[np.argsort(numbers)[1]] = True
     T = m.poses()[numbers]
-    result = bundle_adjust(T, m.position[ids], kf_local, pt_local, b, fixed, focal, config.huber_px, iterations)
+    origins = m.lenses.origins(b)
+    result = bundle_adjust(
+        T, m.position[ids], kf_local, pt_local, b, fixed, focal, config.huber_px, iterations, origins
+    )
     m.position[ids] = result.points
     for number, pose, held in zip(numbers, result.T_cw, fixed):
         if not held:
@@ -139,6 +143,24 @@ def adjust_window(m: PointMap, config: SparseConfig, focal: float, members: list
     m.state[ids[m.observation_counts()[ids] < 2]] = DEAD
     inliers = result.errors[~outlier]
     return float(np.sqrt(np.mean(inliers**2))) if len(inliers) else 0.0
+
+
+def observations(
+    keyframes: list[Keyframe], chosen: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64]] | None:
+    """What keyframes saw of the ``chosen`` (N,) points: the keyframe's number, the point, its bearing (M, 3), and where
+    in the keyframe that observation is; None if they saw none.
+    """
+    use = [(k, np.flatnonzero(chosen[k.points])) for k in keyframes]
+    use = [(k, at) for k, at in use if len(at)]
+    if not use:
+        return None
+    return (
+        np.concatenate([np.full(len(at), k.number) for k, at in use]),
+        np.concatenate([k.points[at] for k, at in use]),
+        np.concatenate([k.bearings[at] for k, at in use]),
+        np.concatenate([at for _, at in use]),
+    )
 
 
 def _observing_keyframes(m: PointMap, members: list[int], chosen: NDArray[np.bool_]) -> list[Keyframe]:
@@ -185,7 +207,7 @@ def renew_templates(
     ids, b = ids[stale], b[stale]
     if len(ids) == 0:
         return
-    m.template[ids] = cut_templates(pyramid, face_set.R_fc, face_set.intrinsics, b, face_set.focal)
+    m.template[ids] = face_set.templates(pyramid, b)
     m.descriptor[ids] = describe(m.template[ids])
     m.anchor[ids] = keyframe.number
     m.anchor_bearing[ids] = b

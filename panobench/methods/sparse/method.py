@@ -34,7 +34,9 @@ from panobench.methods.sparse.mapping import (
 )
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
 from panobench.methods.sparse.relocalise import relocalise
+from panobench.methods.sparse.rig_faces import RigFaces, build_rig_faces
 from panobench.methods.sparse.rotation import RotationFinder
+from panobench.methods.sparse.scale import METRIC_SIGMA, adjust_scale, is_due, scale_sigma
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame, update_candidates
 from panobench.types import Estimate, Frame, Trajectory
 
@@ -71,13 +73,17 @@ class SparseMethod(OnlineMethod):
 
     config: SparseConfig
     face_set: FaceSet
+    rig_faces: RigFaces | None
 
     def __init__(self, config: SparseConfig | None = None) -> None:
         super().__init__(config or SparseConfig())
 
     def start(self, camera: Camera, context: MethodContext) -> None:
         self.context = context
-        self.face_set = build_faces(camera, self.config.face_pixels, self.config.levels or MAX_LEVELS)
+        levels = self.config.levels or MAX_LEVELS
+        rig = context.rig if self.config.rig else None
+        self.rig_faces = None if rig is None else build_rig_faces(rig, self.config.face_pixels, levels)
+        self.face_set = self.rig_faces or build_faces(camera, self.config.face_pixels, levels)
         self.levels = self.config.levels or levels_for(self.face_set.focal)
         self.finder = RotationFinder(self.face_set, self.levels)
         self.rng = np.random.default_rng(context.seed)
@@ -88,7 +94,10 @@ class SparseMethod(OnlineMethod):
         self.numbers: dict[int, dict[str, float]] = {}
 
     def track(self, frame: Frame) -> Array | None:
-        pyramid = self.face_set.pyramid(frame.image, self.levels)
+        if self.rig_faces is not None:
+            pyramid = self.rig_faces.pyramids(frame.lenses, self.levels)
+        else:
+            pyramid = self.face_set.pyramid(frame.image, self.levels)
         self.finder.push(pyramid)
         if self.session is not None:
             return self._track(self.session, pyramid, frame)
@@ -113,7 +122,9 @@ class SparseMethod(OnlineMethod):
             if key is not None:
                 T = key.T_cw
             else:
-                T = solve_initial_frame(initial, m.position, point_of_track, newest.T_cw, focal, len(history), position)
+                T = solve_initial_frame(
+                    initial, m.position, point_of_track, newest.T_cw, self.face_set, len(history), position
+                )
             session.records.append(_record_of(initial, T, key or m.keyframes[0], point_of_track))
         self.context.log(
             f"frame {frame.index}: map of {int((m.state == ACTIVE).sum())} points from {len(history)} frames"
@@ -227,6 +238,8 @@ class SparseMethod(OnlineMethod):
         adjust_window(m, config, focal, local_window(m, key.number, config.window), 6)
         if config.loops and key.number >= session.last_loop + LOOP_INTERVAL:
             self._close_loop(session, pyramid, key)
+        if m.lenses.several and is_due(len(m.keyframes)):
+            self._adjust_scale(session)
         session.T_cw = key.T_cw
         renew_templates(m, self.face_set, pyramid, key)
         add_candidates(m, self.face_set, config, pyramid, key)
@@ -244,6 +257,15 @@ class SparseMethod(OnlineMethod):
         session.loops += 1
         old = m.keyframes[loop.old].frame
         self.context.log(f"frame {key.frame}: loop with frame {old}, scale drift {loop.correction.scale:.3f}")
+
+    def _adjust_scale(self, session: Session) -> None:
+        growth = adjust_scale(session.map, self.config, self.face_set.focal)
+        session.velocity[:3, 3] *= growth
+        for record in session.records:
+            record.T_ck[:3, 3] *= growth
+        self.context.log(
+            f"{len(session.map.keyframes)} keyframes: the lenses' distance changes the scale by {growth:.3f}"
+        )
 
     # -- the end -----------------------------------------------------------------------------------------------
 
@@ -263,9 +285,12 @@ class SparseMethod(OnlineMethod):
         }
         if self.config.final_ba > 0:
             everything = [k.number for k in m.keyframes]
+            if m.lenses.several:
+                self._adjust_scale(session)
             extra["reprojection_px"] = adjust_window(
                 m, self.config, self.face_set.focal, everything, self.config.final_ba
             )
+        metric = m.lenses.several and self._judge_scale(m, extra)
         records = sorted(session.records, key=lambda r: r.index)
         poses = []
         for record in records:
@@ -275,9 +300,22 @@ class SparseMethod(OnlineMethod):
         return Estimate(
             Trajectory(np.array([r.time for r in records]), np.stack(poses)),
             keyframes=[k.frame for k in m.keyframes],
+            metric=metric,
             frames=self.numbers,
             extra=extra,
         )
+
+    def _judge_scale(self, m: PointMap, extra: dict[str, Any]) -> bool:
+        """Say in ``extra`` how certain the scale is; whether that is enough to call it metric."""
+        sigma = scale_sigma(m, self.config, self.face_set.focal)
+        extra["lenses"] = len(m.lenses.centres)
+        extra["scale_from"] = "the distance between the lenses"
+        extra["scale_sigma_percent"] = 100 * sigma if np.isfinite(sigma) else None
+        if sigma <= METRIC_SIGMA:
+            self.context.log(f"the scale is metric, give or take {100 * sigma:.2g}% (one standard deviation)")
+            return True
+        self.context.warn("the rig turned too little for its lenses' distance to tell the scale: it is not metric")
+        return False
 
     def known_poses(self) -> dict[int, Array]:
         """Those of the map with most frames, which ``finish`` answers with."""
@@ -289,10 +327,12 @@ class SparseMethod(OnlineMethod):
         """The pose from the frame's own measurements and the refined points."""
         alive = m.state[record.points] == ACTIVE
         X, b = m.position[record.points[alive]], record.bearings[alive].astype(np.float64)
-        near = pose_errors(T, X, b, self.face_set.focal) < 4.0
+        focal, origins = self.face_set.focal, m.lenses.origins(b)
+        near = pose_errors(T, X, b, focal, origins) < 4.0
         if int(near.sum()) < self.config.min_inliers:
             return T
-        return solve_pose(T, X[near], b[near], self.face_set.focal, self.config.huber_px, 10)
+        kept = None if origins is None else origins[near]
+        return solve_pose(T, X[near], b[near], focal, self.config.huber_px, 10, kept)
 
 
 def _record_of(initial: InitialFrame, T_cw: Array, key: Keyframe, point_of_track: NDArray[np.int64]) -> FrameRecord:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.methods.sparse.lenses import Lenses
 from panobench.methods.sparse.patches import STORED
 
 Array = NDArray[np.float64]
@@ -62,6 +63,7 @@ class PointMap:
     """Points in parallel arrays with spare capacity; attributes are views of the used part."""
 
     levels: int
+    lenses: Lenses = field(default_factory=Lenses)
     size: int = 0
     keyframes: list[Keyframe] = field(default_factory=list)
     _arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
@@ -91,8 +93,12 @@ class PointMap:
         return index
 
     def inverse_distance(self, index: NDArray[np.int64]) -> Array:
-        """1 / distance (n,) from each point to its anchor keyframe."""
+        """1 / distance (n,) from each point to its anchor keyframe, to the lens that the template is from."""
         centres = self.centres()[self.anchor[index]]
+        origins = self.lenses.origins(self.anchor_bearing[index])
+        if origins is not None:
+            R_wc = np.swapaxes(self.poses()[:, :3, :3], 1, 2)[self.anchor[index]]
+            centres = centres + np.einsum("nij,nj->ni", R_wc, origins)
         return np.asarray(1.0 / np.maximum(np.linalg.norm(self.position[index] - centres, axis=1), 1e-9))
 
     def poses(self) -> Array:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from panobench.methods.sparse.absolute import pose_ransac
 from panobench.methods.sparse.descriptors import describe, match
 from panobench.methods.sparse.detect import detect_corners
-from panobench.methods.sparse.patches import cut_templates
 from panobench.methods.sparse.pointmap import ACTIVE, PointMap
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame
 
@@ -25,11 +24,11 @@ def relocalise(aligner: Aligner, pyramid: Pyramid, frame: int, rng: np.random.Ge
     if len(corners) < config.min_inliers:
         return None
     ids = points_to_match(m)
-    found = describe(cut_templates(pyramid, face_set.R_fc, face_set.intrinsics, corners, face_set.focal))
+    found = describe(face_set.templates(pyramid, corners))
     a, b = match(found, m.descriptor[ids], ratio=0.92)
     if len(a) < 12:
         return None
-    result = pose_ransac(m.position[ids[b]], corners[a], face_set.focal, rng, 4.0, 300, 10)
+    result = pose_ransac(m.position[ids[b]], corners[a], face_set.focal, rng, 4.0, 300, 10, face_set.lenses)
     if result is None:
         return None
     # A dozen matches may agree by chance, the alignment of hundreds of patches does not.

@@ -12,6 +12,7 @@ from panobench.geometry import invert_pose
 from panobench.methods.sparse.adjust import pose_errors, solve_pose
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.faces import FaceSet
+from panobench.methods.sparse.lenses import Lenses
 from panobench.methods.sparse.patches import align_level
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, PointMap
 
@@ -39,10 +40,9 @@ class Tracked:
     error_px: float
 
 
-def predict(T_cw: Array, positions: Array) -> Array:
+def predict(T_cw: Array, positions: Array, lenses: Lenses) -> Array:
     """Unit bearings (N, 3) of world points (N, 3)."""
-    p = positions @ T_cw[:3, :3].T + T_cw[:3, 3]
-    return np.asarray(p / np.maximum(np.linalg.norm(p, axis=1, keepdims=True), 1e-12))
+    return lenses.bearings(positions @ T_cw[:3, :3].T + T_cw[:3, 3])
 
 
 @dataclass
@@ -64,8 +64,9 @@ class Aligner:
         level: int,
     ) -> Array:
         """Align on one level: updates bearings and ok in place, returns the ZNCC (N,)."""
-        m = self.map
-        return align_level(
+        m, lenses = self.map, self.face_set.lenses
+        before = lenses.of(bearings) if lenses.several else None
+        score = align_level(
             self.pool,
             pyramid[level],
             self.face_set.valid,
@@ -76,12 +77,28 @@ class Aligner:
             m.template[points, level],
             m.anchor_bearing[points],
             m.inverse_distance(points),
-            T_cw @ invert_pose(m.poses()),
-            m.anchor[points],
+            *self._motion(T_cw, points, bearings),
             bearings,
             ok,
             LIMITS[min(len(pyramid) - 1 - level, len(LIMITS) - 1)],
         )
+        if before is not None:  # measured in the picture of a lens that it left
+            ok &= lenses.of(bearings) == before
+        return score
+
+    def _motion(self, T_cw: Array, points: NDArray[np.int64], bearings: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Motions (M, 4, 4) from the points' anchors to the camera, and which one is each point's (N,).
+
+        Of a rig they are those between the lens of the template and the lens of the prediction.
+        """
+        m, lenses = self.map, self.face_set.lenses
+        relative = T_cw @ invert_pose(m.poses())
+        anchor = m.anchor[points]
+        if not lenses.several:
+            return relative, anchor
+        moved = relative[anchor]
+        moved[:, :3, 3] = lenses.between(moved, m.anchor_bearing[points], bearings)
+        return moved, np.arange(len(points))
 
 
 def choose_points(
@@ -93,8 +110,11 @@ def choose_points(
     alive = alive[~stale]
     if len(alive) == 0:
         return alive
-    b = predict(T_cw, m.position[alive])
-    alive = alive[in_view(face_set, b)]
+    b = predict(T_cw, m.position[alive], face_set.lenses)
+    view = in_view(face_set, b)
+    if face_set.lenses.several:
+        view &= face_set.lenses.sees(m.position[alive] @ T_cw[:3, :3].T + T_cw[:3, 3])
+    alive = alive[view]
     if len(alive) <= MAX_ALIGNED:
         return alive
     age = frame - m.last_seen[alive]
@@ -136,16 +156,18 @@ def track_frame(
     if int(active.sum()) < min_inliers:
         return None
     top = len(pyramid) - 1
-    bearings = predict(T_pred, m.position[points])
+    lenses = face_set.lenses
+    bearings = predict(T_pred, m.position[points], lenses)
     ok = np.ones(len(points), bool)
     T = T_pred
     if top > 0:
         score = aligner.run(pyramid, T_pred, points, bearings, ok, top)
         good = ok & active & (score > 0.6)
         if int(good.sum()) >= min_inliers:
-            T = solve_pose(T_pred, m.position[points[good]], bearings[good], face_set.focal, 4.0, 12)
+            seen = bearings[good]
+            T = solve_pose(T_pred, m.position[points[good]], seen, face_set.focal, 4.0, 12, lenses.origins(seen))
         # Points that the coarse level lost are predicted again with the better pose; candidates keep their measurement.
-        fresh = predict(T, m.position[points])
+        fresh = predict(T, m.position[points], lenses)
         restart = active | ~ok | (score < 0.6)
         bearings[restart] = fresh[restart]
         ok[:] = True
@@ -158,13 +180,15 @@ def track_frame(
     if len(use) < min_inliers:
         return None
     X, b = m.position[points[use]], bearings[use]
-    T = solve_pose(T, X, b, face_set.focal, config.huber_px, 15)
-    error = pose_errors(T, X, b, face_set.focal)
+    begin = lenses.origins(b)
+    T = solve_pose(T, X, b, face_set.focal, config.huber_px, 15, begin)
+    error = pose_errors(T, X, b, face_set.focal, begin)
     inlier = error < 3.0 * max(1.0, config.huber_px)
     if int(inlier.sum()) < min_inliers:
         return None
-    T = solve_pose(T, X[inlier], b[inlier], face_set.focal, config.huber_px, 10)
-    error = pose_errors(T, X, b, face_set.focal)
+    kept = None if begin is None else begin[inlier]
+    T = solve_pose(T, X[inlier], b[inlier], face_set.focal, config.huber_px, 10, kept)
+    error = pose_errors(T, X, b, face_set.focal, begin)
     inlier = error < 3.0 * max(1.0, config.huber_px)
     # A pose that is slightly wrong also aligns some patches; the right one aligns most of them.
     if int(inlier.sum()) < max(min_inliers, int(MIN_INLIER_SHARE * len(use))):
@@ -198,7 +222,7 @@ def _on_epipolar_plane(
     if len(points) == 0:
         return np.zeros(0, bool)
     rel = T_cw @ invert_pose(m.poses())[m.anchor[points]]
-    t = rel[:, :3, 3]
+    t = m.lenses.between(rel, m.anchor_bearing[points], bearings)
     turned = np.einsum("nij,nj->ni", rel[:, :3, :3], m.anchor_bearing[points])
     normal = np.cross(t, turned)
     length = np.linalg.norm(normal, axis=1)
@@ -216,11 +240,10 @@ def update_candidates(m: PointMap, tracked: Tracked) -> None:
     from panobench.methods.sparse.mapping import ray_distance
 
     rel = tracked.T_cw @ invert_pose(m.poses())[m.anchor[ids]]
-    distance, angle = ray_distance(m.anchor_bearing[ids], b, rel[:, :3, :3], rel[:, :3, 3])
+    t = m.lenses.between(rel, m.anchor_bearing[ids], b)
+    distance, angle = ray_distance(m.anchor_bearing[ids], b, rel[:, :3, :3], t)
     better = (angle > m.parallax[ids]) & (angle > 0.003) & (distance > 0)
     ids, distance = ids[better], distance[better]
     T_wa = invert_pose(m.poses())[m.anchor[ids]]
-    m.position[ids] = (
-        np.einsum("nij,nj->ni", T_wa[:, :3, :3], m.anchor_bearing[ids] * distance[:, None]) + T_wa[:, :3, 3]
-    )
+    m.position[ids] = m.lenses.places(T_wa, m.anchor_bearing[ids], distance)
     m.parallax[ids] = angle[better]
