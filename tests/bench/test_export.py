@@ -13,8 +13,10 @@ from panobench.bench.export import FORMATS, ExportOptions, export_run
 from panobench.cameras.calibration import colmap, nerfstudio
 from panobench.cameras.calibration.result import ReadOptions
 from panobench.cli.main import run as command
+from panobench.datasets.images import read_image
 from panobench.datasets.trajectory_io import read_kitti, read_tum
 from panobench.errors import OutputError, UnknownNameError, UsageError
+from panobench.geometry import matrix_from_quaternion
 from panobench.splat.ply import write_ply
 
 TINY = {"dataset": "rooms", "sequence": "tiny", "width": 64, "max_frames": 4}
@@ -78,6 +80,59 @@ def test_a_nerfstudio_model_reads_back(run: panobench.Run, tmp_path: Path) -> No
         M = np.array(frame["transform_matrix"])
         assert np.abs(M[:3, 2] + T_wc[:3, 2]).max() < 1e-12, "OpenGL's camera looks along -z"
         assert np.abs(M[:3, 3] - T_wc[:3, 3]).max() < 1e-12
+
+
+def test_faces_of_panoramas_are_pinhole_pictures_of_what_the_panorama_shows(run: panobench.Run, tmp_path: Path) -> None:
+    if run.camera.kind != "erp":
+        with pytest.raises(UsageError, match="for panoramas"):
+            export_run(run, "colmap", tmp_path / "m", ExportOptions(faces=True))
+        return
+    folder = export_run(run, "colmap", tmp_path / "m", ExportOptions(faces=True, width=32))
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction(folder / "sparse" / "0")
+    assert (model.num_images(), model.num_cameras()) == (6 * 4, 1)
+    rig = json.loads((folder / "rig_config.json").read_text())[0]["cameras"]
+    rotations = {c["image_prefix"]: c.get("cam_from_rig_rotation", [1, 0, 0, 0]) for c in rig}
+    panorama = read_image(export_run(run, "colmap", tmp_path / "p") / "images" / "000000.png")
+    fronts = {i.name: i for i in model.images.values()}
+    worst = []
+    for image in model.images.values():
+        face, _, name = image.name.partition("/")
+        T_cw = np.eye(4)
+        T_cw[:3] = image.cam_from_world().matrix()
+        front = np.eye(4)
+        front[:3] = fronts[f"front/{name}"].cam_from_world().matrix()
+        assert np.abs(T_cw @ np.linalg.inv(front) - _pose_of(rotations[face + "/"])).max() < 1e-9, "the rig"
+        for point in np.random.default_rng(1).normal(size=(200, 3)):
+            there = T_cw[:3, :3] @ point + T_cw[:3, 3]
+            if there[2] <= 0.05 or abs(there[:2] / there[2]).max() > 0.99:
+                continue
+            pixel = image.camera.img_from_cam(there)
+            where = np.linalg.inv(run.trajectory.T_wc[int(name[:6])])
+            seen, _ = run.camera.project((where[:3, :3] @ point + where[:3, 3])[None])
+            ray = T_cw[:3, :3] @ run.trajectory.T_wc[int(name[:6]), :3, :3] @ run.camera.unproject(seen)[0]
+            worst.append(np.abs(image.camera.img_from_cam(ray) - pixel).max())
+        if name == "000000.png":
+            picture = read_image(folder / "images" / image.name)
+            middle = image.camera.cam_from_img(np.array([16.0, 16.0]))
+            ray = run.trajectory.T_wc[0, :3, :3].T @ T_cw[:3, :3].T @ np.array([*middle, 1.0])
+            u, v = run.camera.project(ray[None])[0][0]
+            rows, columns = (slice(max(int(w) - 1, 0), int(w) + 2) for w in (v, u))
+            near = panorama[rows, columns].reshape(-1, 3).mean(axis=0)
+            assert np.abs(picture[15:17, 15:17].reshape(-1, 3).mean(axis=0) - near).max() < 40
+    assert len(worst) > 500
+    assert max(worst) < 0.5
+    frames = json.loads(
+        (export_run(run, "nerfstudio", tmp_path / "n", ExportOptions(faces=True)) / "transforms.json").read_text()
+    )
+    assert len(frames["frames"]) == 24
+    assert frames["w"] == frames["h"] == 20
+
+
+def _pose_of(rotation: list[float]) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = matrix_from_quaternion(rotation)
+    return T
 
 
 def test_images_can_be_left_out_and_nothing_is_overwritten(run: panobench.Run, tmp_path: Path) -> None:

@@ -23,11 +23,13 @@ MIN_OPACITY = 0.5
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """images: models also get their frames, read from the data set again. voxel: edge of a mesh's voxels, in the map's
-    unit; None chooses. camera: of a film, "erp" or "pinhole:DEGREES". width: of a film, pixels. seconds: its length.
+    """images: models also get their frames, read from the data set again. faces: those of panoramas as the six faces of
+    a cube. voxel: edge of a mesh's voxels, in the map's unit; None chooses. camera: of a film, "erp" or
+    "pinhole:DEGREES". width: of a film or a face, pixels. seconds: length of a film.
     """
 
     images: bool = True
+    faces: bool = False
     voxel: float | None = None
     camera: str = "erp"
     width: int | None = None

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from panobench.bench.export.base import ExportOptions, opaque_points, poses_of
-from panobench.bench.request import RunRequest, run_options
-from panobench.errors import InputError, PanobenchError, UsageError
-from panobench.geometry import quaternion_from_matrix
+from panobench.bench.export.base import ExportOptions, opaque_points
+from panobench.bench.export.frames import model_camera, shots_of, write_pictures, write_rig
+from panobench.errors import UsageError
+from panobench.geometry import invert_pose, quaternion_from_matrix
 from panobench.writing import write_whole
 
 if TYPE_CHECKING:
@@ -35,24 +35,28 @@ def ply_points(run: Run, target: Path, options: ExportOptions) -> None:
 
 
 def colmap(run: Run, target: Path, options: ExportOptions) -> None:
-    """A text model (cameras.txt, images.txt, points3D.txt) in sparse/0, beside the images.
+    """A text model (cameras.txt, images.txt, points3D.txt) in sparse/0, beside the images; of faces also their rig.
 
     https://colmap.github.io/format.html: poses are world-to-camera, quaternions (w, x, y, z).
     """
     from panobench.cameras.calibration import colmap as calibration
 
-    trajectory, names = poses_of(run), _write_images(run, target, options.images)
+    camera, shots = model_camera(run, options), shots_of(run, options)
+    if options.images:
+        write_pictures(run, shots, target, options)
     model = target / "sparse" / "0"
     model.mkdir(parents=True)
-    calibration.write(run.camera, model / "cameras.txt")
+    if options.faces:
+        write_rig(target / "rig_config.json")
+    calibration.write(camera, model / "cameras.txt")
     camera_id = next(
         line.split()[0] for line in (model / "cameras.txt").read_text().splitlines() if line[:1] not in ("", "#")
     )
-    T_cw = np.linalg.inv(trajectory.T_wc)
     lines = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of points in it\n"]
-    for k, (T, name) in enumerate(zip(T_cw, names), 1):
+    for k, shot in enumerate(shots, 1):
+        T = invert_pose(shot.T_wc)
         numbers = [*quaternion_from_matrix(T[:3, :3]), *T[:3, 3]]
-        lines.append(f"{k} {' '.join(f'{v:.12g}' for v in numbers)} {camera_id} {name}\n\n")
+        lines.append(f"{k} {' '.join(f'{v:.12g}' for v in numbers)} {camera_id} {shot.name}\n\n")
     write_whole(model / "images.txt", "".join(lines))
     centres, colours = opaque_points(run)
     rows = [
@@ -66,35 +70,13 @@ def nerfstudio(run: Run, target: Path, options: ExportOptions) -> None:
     """transforms.json beside the images: camera-to-world poses with OpenGL's camera axes, as nerfstudio reads them."""
     from panobench.cameras.calibration.nerfstudio import camera_values
 
-    trajectory, document = poses_of(run), camera_values(run.camera)
-    names = _write_images(run, target, options.images)
+    document, shots = camera_values(model_camera(run, options)), shots_of(run, options)
+    if options.images:
+        write_pictures(run, shots, target, options)
     document["frames"] = [
-        {"file_path": f"images/{name}", "transform_matrix": (T @ OPENGL).tolist()}
-        for T, name in zip(trajectory.T_wc, names)
+        {"file_path": f"images/{shot.name}", "transform_matrix": (shot.T_wc @ OPENGL).tolist()} for shot in shots
     ]
     if len(opaque_points(run)[0]):
         ply_points(run, target / "points.ply", options)
         document["ply_file_path"] = "points.ply"
     write_whole(target / "transforms.json", json.dumps(document, indent=1) + "\n")
-
-
-def _write_images(run: Run, target: Path, images: bool) -> list[str]:
-    """A name per pose of the trajectory; with ``images`` the frames are written to images/ under these names."""
-    frames = run.frames
-    times = frames.get("time", np.zeros(0))
-    order = [int(np.abs(times - t).argmin()) if len(times) else k for k, t in enumerate(run.trajectory.times)]
-    names = [f"{i:06d}.png" for i in order]
-    if images:
-        from panobench.bench.setup import open_input
-        from panobench.datasets.images import write_image
-
-        spec = run.record.spec
-        try:
-            sequence = open_input(RunRequest(**{o.name: spec.option(o.name) for o in run_options()}))
-        except PanobenchError as error:
-            raise InputError(f"the frames cannot be read again ({error}); --no-images leaves them out") from error
-        folder = target / "images"
-        folder.mkdir(parents=True)
-        for i, name in zip(order, names):
-            write_image(folder / name, sequence.image(i))
-    return names
