@@ -24,7 +24,7 @@ from panobench.report.headline import default_title, facts, measurements, tiles
 from panobench.report.images import BUDGET, SMALLEST
 from panobench.report.mapview import MOST, MOST_IN_ALL, map_size
 from panobench.report.model import Collection, Run
-from panobench.report.panoramas import Gallery, copy_map, make_gallery
+from panobench.report.panoramas import Gallery, copy_map, make_gallery, write_walk_page
 from panobench.report.ranking import RANKING_RULE, failure
 from panobench.report.sections import cost_charts, place_section
 from panobench.report.studies import study_section
@@ -124,6 +124,7 @@ def _run_details(number: int, run: Run, label: str, gallery: Gallery) -> dict[st
         "reason": failure(run),
         "map": map_size(run),
         "map_link": copy_map(run, gallery, number),
+        "walk_link": write_walk_page(run, gallery, number),
         "configuration": flatten(about["spec"]),
         "provenance": flatten(about["provenance"]),
         "extra": flatten({k: about[k] for k in ("remarks", "extra", "depth", "notes", "map") if about.get(k)}),

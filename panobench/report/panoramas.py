@@ -22,6 +22,7 @@ class Gallery:
     """Pictures of a report. ``store`` maps a short key to a data URI; equal files are kept once.
 
     assets: folder for full-size copies (None: none are made); ``links`` maps a key to its relative path there.
+    pages: names of the pages written there.
     """
 
     plan: Plan
@@ -29,6 +30,7 @@ class Gallery:
     store: dict[str, str] = field(default_factory=dict)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     links: dict[str, str] = field(default_factory=dict)
+    pages: set[str] = field(default_factory=set)
 
     def add(self, path: Path | None) -> str | None:
         """The key of a picture file, None when it is absent or cannot be read."""
@@ -71,6 +73,23 @@ def copy_map(run: Run, gallery: Gallery, number: int) -> str | None:
         return None
     target = gallery.assets / f"map-{number}.ply"
     write_whole(target, source.read_bytes())
+    return f"{gallery.assets.name}/{target.name}"
+
+
+def write_walk_page(run: Run, gallery: Gallery, number: int) -> str | None:
+    """Write the page in which one walks through the run's map to the assets; the link to it, None without."""
+    if gallery.assets is None or not (run.folder / "map.ply").is_file():
+        return None
+    from panobench.api import Run as Opened
+    from panobench.errors import PanobenchError
+
+    target = gallery.assets / f"walk-{number}.html"
+    if target.name not in gallery.pages:
+        try:
+            Opened(run.folder).walk(target)
+        except PanobenchError:  # a map that is damaged, or with nothing to show
+            return None
+        gallery.pages.add(target.name)
     return f"{gallery.assets.name}/{target.name}"
 
 

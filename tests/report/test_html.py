@@ -15,6 +15,7 @@ from panobench.errors import UnknownNameError, UsageError
 from panobench.report import images
 from panobench.report.build import choose_format, write_report
 from panobench.report.html import safe_json
+from panobench.splat.ply import write_ply
 
 EVIL = "<script>window.pwned=1</script>\"'><img src=x onerror=window.pwned=1>"
 
@@ -215,3 +216,16 @@ def test_what_was_hidden_from_a_method_is_drawn_and_said(make_run, edit, tmp_pat
     assert "What was hidden from the method" in text
     assert "20.0% of the view is hidden (red), 13.4% by geometry. 13.4% moves." in text
     assert len(data_of(text)["images"]) == 1
+
+
+def test_maps_and_pages_to_walk_through_them_go_beside_the_page(make_run, tmp_path):
+    folder = make_run("a")
+    rng = np.random.default_rng(0)
+    write_ply(folder / "map.ply", *(rng.normal(size=s) for s in ((60, 3), (60, 3), (60, 4), (60,), (60, 3))))
+    damaged = make_run("b", method="other")
+    (damaged / "map.ply").write_text("ply\n")
+    text = page([folder, damaged], tmp_path, assets=True)
+    links = re.findall(r'href="([^"]+/walk-\d+\.html)"', text)
+    assert len(links) == 1
+    assert "panogs on room1" in (tmp_path / links[0]).read_text(encoding="utf-8")
+    assert "walk-" not in page([folder], tmp_path), "without --assets there is one file"
