@@ -75,8 +75,7 @@ function overviewPose() {
   const z = plus(ahead.map(v => 0.5 * v), up, -0.866), y = plus(up.map(v => -0.5 * v), ahead, -0.866);
   const x = [y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]];
   const R = [x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]];
-  const narrow = Math.min(canvas.clientWidth, canvas.clientHeight) / Math.max(canvas.clientWidth, canvas.clientHeight);
-  return { eye: plus(centre, z, -1.25 * radius / Math.max(0.45, narrow)), q: quaternion(R) };
+  return { eye: plus(centre, z, -1.8 * radius), q: quaternion(R) };
 }
 
 function lines() {
@@ -190,7 +189,9 @@ function paint() {
   const ratio = Math.min(window.devicePixelRatio || 1, 2) * quality;
   const width = Math.max(2, Math.round(canvas.clientWidth * ratio)), height = Math.max(2, Math.round(canvas.clientHeight * ratio));
   renderer.resize(width, height);
-  const focal = 0.5 * Math.max(width, height) / Math.tan(camera.fov * Math.PI / 360);
+  // The longer side sees camera.fov, unless the shorter one would see less than 0.72 of that: telephones held upright.
+  const half = camera.fov * Math.PI / 360, long_ = Math.max(width, height), short_ = Math.min(width, height);
+  const focal = Math.min(0.5 * long_ / Math.tan(half), 0.5 * short_ / Math.tan(0.72 * half));
   const inside = overview ? { ceiling: [...up, about.frame.ceiling], shell: [...about.frame.centre, about.frame.radius] } : {};
   renderer.draw({ eye: camera.eye, R: camera.R, focal, wide: 3 * ratio, ...inside }, unit, showPath);
 }
