@@ -107,7 +107,8 @@ class MethodSpec(Spec):
     config: "module:Dataclass" with its options; presets: name -> values that differ from the defaults.
     deterministic: the same seed on the same machine gives the same answer to the bit. frame_masks: it honours
     ``Frame.mask``; for other methods what is hidden in any frame is hidden in all of them. rigs: it takes the pictures
-    of several lenses with a centre each (``Frame.lenses``); other methods get them stitched to a panorama.
+    of several lenses with a centre each (``Frame.lenses``); other methods get them stitched to a panorama. maps: it can
+    start from a saved map and gives its own; needs_map: it cannot start without one.
     """
 
     kind: ClassVar[str] = "method"
@@ -123,6 +124,8 @@ class MethodSpec(Spec):
     deterministic: bool = True
     frame_masks: bool = False
     rigs: bool = False
+    maps: bool = False
+    needs_map: bool = False
     contract: str = CONTRACT_VERSION
 
 

@@ -22,7 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from panobench.kernels.ahead import RECORD, entry_points
 
-#: Method -> runs that between them call its usual kernels: camera kind, and other options.
+#: Method -> runs that between them call its usual kernels: camera kind, and other options. `localise` calls some of
+#: those of panogs, and needs a map first: its users are marked by hand.
 RUNS: dict[str, list[dict[str, object]]] = {
     "sparse": [{"camera": "erp"}, {"camera": "pinhole"}, {"camera": "pal"}],
     "direct": [{"camera": "erp"}, {"camera": "pinhole"}, {"camera": "pal"}],

@@ -103,7 +103,7 @@ def check_trajectory(
     """
     observer.stage("checking")
     method = request.method if check == BACKWARDS else check
-    asked = replace(request, method=method, max_frames=given, holdout=0)
+    asked = replace(request, method=method, max_frames=given, holdout=0, continue_map=None, save_map=None)
     if check != BACKWARDS:
         asked = replace(asked, preset=None, settings={}, depth=None)
     try:

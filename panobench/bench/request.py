@@ -189,6 +189,20 @@ class RunRequest:
         minimum=0,
         import_help="The method did not map each n-th frame; 0: none.",
     )
+    continue_map: str | None = run_option(
+        None,
+        "Start from the saved map in this folder; poses are in its frame.",
+        changes_input=False,
+        label="on {}",
+        flag="--continue",
+    )
+    save_map: str | None = run_option(
+        None,
+        "Save the map to this folder, for --continue and `panobench localize`.",
+        changes_input=False,
+        label=None,
+        separates=False,
+    )
     check: str = run_option(
         "auto",
         "Second opinion for the verdict: a METHOD, backwards, none, or auto (where there is no ground truth).",

@@ -29,9 +29,10 @@ from panobench.bench.setup import RunSetup
 from panobench.bench.tracking import Tracked, frame_indices
 from panobench.bench.truth import clock_remark, truth_record
 from panobench.errors import PanobenchError
+from panobench.methods.base import BatchMethod, OnlineMethod
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.metrics.clock import ClockOffset
-from panobench.types import DepthEstimate
+from panobench.types import DepthEstimate, RunStatus
 
 
 def run_record(
@@ -140,6 +141,20 @@ def _depth_record(setup: RunSetup, estimate: DepthEstimate | None) -> DepthRecor
             low, high = np.percentile(known, [2, 98])
             record.range = [float(low), float(high)]
     return record
+
+
+def save_map(folder: Path, method: OnlineMethod | BatchMethod, tracked: Tracked) -> str:
+    """Save the method's map to ``folder`` if the run went well; returns what was done, in a line.
+
+    A run that was lost or interrupted leaves the folder as it is.
+    """
+    from panobench.maps.store import write_map
+
+    saved = method.saved_map() if isinstance(method, OnlineMethod) and tracked.status is RunStatus.OK else None
+    if saved is None:
+        return f"map: nothing saved to {folder}: {tracked.message or 'the method has no map'}"
+    write_map(folder, saved)
+    return f"map: {len(saved.keyframes)} keyframes and {len(saved.gaussians)} Gaussians saved to {folder}"
 
 
 def write_run(folder: Path, record: RunRecord, setup: RunSetup, tracked: Tracked, holdout: list[int]) -> None:

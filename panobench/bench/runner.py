@@ -24,7 +24,7 @@ from panobench.bench.observer import Observer
 from panobench.bench.provenance import provenance
 from panobench.bench.record import CellRecord, RunRecord, VerdictRecord
 from panobench.bench.request import RunRequest
-from panobench.bench.results import run_record, timing_record, write_run
+from panobench.bench.results import run_record, save_map, timing_record, write_run
 from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
 from panobench.bench.setup import RunSetup, oracle_depth, set_up_run
 from panobench.bench.tracking import Pose, Tracked, track_batch, track_online
@@ -149,6 +149,8 @@ def _run(
             log(f"note: {remark}")
     observer.stage("writing")
     write_run(folder, record, setup, tracked, holdout)
+    if request.save_map:
+        log(save_map(Path(request.save_map).expanduser(), setup.method, tracked))
     return record
 
 
@@ -178,6 +180,7 @@ def _track(
             imu=sequence.imu if "imu" in needs else None,
             rig=sequence.rig if setup.spec.rigs else None,
             poses=_poses(sequence, truth) if "poses" in needs and truth is not None else None,
+            saved_map=setup.saved_map,
             log=log,
             warn=warn,
         )

@@ -18,6 +18,7 @@ from panobench.datasets.base import FrameSequence
 from panobench.depth.base import DepthEstimator
 from panobench.errors import UnavailableError, UnsupportedError, UsageError
 from panobench.kernels.ahead import Prepared, Progress, compile_ahead, entry_points
+from panobench.maps.saved import SavedMap
 from panobench.methods.base import BatchMethod, OnlineMethod
 from panobench.plugins import registry
 from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec
@@ -57,6 +58,7 @@ class RunSetup:
     depth: DepthChoice | None
     mask: MaskChoice = field(default_factory=MaskChoice)
     kernels: Prepared = field(default_factory=Prepared)
+    saved_map: SavedMap | None = None
 
 
 def set_up_run(request: RunRequest, progress: Progress = lambda done, total: None) -> RunSetup:
@@ -67,6 +69,7 @@ def set_up_run(request: RunRequest, progress: Progress = lambda done, total: Non
     from panobench.cameras.calibration import calibration_file
 
     spec = method_spec(request)
+    saved_map = open_map(request, spec)
     config = method_config(spec, request.preset, request.settings)
     depth = open_depth(request.depth)
     mask = choose_mask(request.mask, request.dataset)
@@ -83,7 +86,28 @@ def set_up_run(request: RunRequest, progress: Progress = lambda done, total: Non
     if "poses" in spec.needs and sequence.groundtruth is None and not own_poses:
         raise UnsupportedError(f"method '{spec.name}' needs given poses; sequence '{sequence.name}' has none")
     origin = registry().entries[MethodSpec.kind][spec.name].origin
-    return RunSetup(spec, origin, method, config, sequence, depth, mask, kernels)
+    return RunSetup(spec, origin, method, config, sequence, depth, mask, kernels, saved_map)
+
+
+def open_map(request: RunRequest, spec: MethodSpec) -> SavedMap | None:
+    """The saved map to start from, if one is asked for; the folder to save to is checked too.
+
+    Raises UsageError for a method that does not take maps or needs one, MapError and OutputError for the folders.
+    """
+    if (request.continue_map or request.save_map) and not spec.maps:
+        able = [name for name, other in registry().specs(MethodSpec).items() if other.maps]
+        raise UsageError(f"method '{spec.name}' neither saves maps nor starts from one; {', '.join(able)} can")
+    if spec.needs_map and not request.continue_map:
+        raise UsageError(
+            f"method '{spec.name}' needs a saved map: --continue DIR, made by `panobench run --save-map DIR`"
+        )
+    if not (request.continue_map or request.save_map):
+        return None
+    from panobench.maps.store import check_writable, read_map
+
+    if request.save_map:
+        check_writable(Path(request.save_map).expanduser())
+    return read_map(Path(request.continue_map).expanduser()) if request.continue_map else None
 
 
 def method_spec(request: RunRequest) -> MethodSpec:

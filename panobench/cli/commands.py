@@ -9,6 +9,7 @@ from __future__ import annotations
 #: In the order `panobench --help` shows them.
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("panobench.cli.run", "Run one method on one sequence and store the run."),
+    "localize": ("panobench.cli.localize", "Find a recording's camera in a saved map."),
     "probe": ("panobench.cli.probe", "Say what a folder, video, bag or file is, and what a run on it would cost."),
     "download": ("panobench.cli.download", "Fetch a published dataset, where its publisher has a stable address."),
     "suite": ("panobench.cli.suite", "Run a matrix of methods, cameras, datasets and seeds; resumable."),
@@ -28,4 +29,4 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("panobench.cli.doctor", "Say what a method needs and what of it is missing here."),
 }
 #: Commands that run compiled kernels, and are told where those are kept if not where Numba keeps them.
-COMPUTING = ("run", "suite", "study", "synth", "convert", "view", "import")
+COMPUTING = ("run", "localize", "suite", "study", "synth", "convert", "view", "import")

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from panobench.cameras.rig import Rig
     from panobench.datasets.base import FrameSequence
     from panobench.depth.base import DepthEstimator
+    from panobench.maps.saved import SavedMap
 
 
 def _silent(_: str) -> None:
@@ -35,6 +36,7 @@ class MethodContext:
     rig:        the lenses of ``Frame.lenses``, for methods that take rigs, where the data have one (contract 1.1).
                 Poses are those of its axes, which are the camera's.
     poses:      camera-to-world poses by frame index, only for methods whose spec needs "poses".
+    saved_map:  the map to start from, only for methods whose spec says ``maps``; poses are then in its frame.
     log:        one line for the run's log.txt.
     warn:       one line that the user should see at once; it is logged too (contract 1.1).
     """
@@ -45,6 +47,7 @@ class MethodContext:
     imu: Imu | None = None
     rig: Rig | None = None
     poses: dict[int, NDArray[np.float64]] | None = None
+    saved_map: SavedMap | None = None
     log: Callable[[str], None] = _silent
     warn: Callable[[str], None] = _silent
 
@@ -100,6 +103,10 @@ class OnlineMethod(ABC):
 
     def live_map(self) -> LiveMap | None:
         """The map as it is between two frames, for viewers; None if there is none to show. Cheap."""
+        return None
+
+    def saved_map(self) -> SavedMap | None:
+        """The map for another run to start from, asked for after ``finish``; None: there is none (contract 1.1)."""
         return None
 
 

@@ -66,7 +66,7 @@ def test_every_option_says_what_it_is() -> None:
         assert option.help.endswith(".")
         assert option.flag.startswith("--")
         assert option.label is None or option.type is bool or "{}" in option.label
-    assert [o.name for o in run_options() if not o.separates] == ["root", "check", "seed"]
+    assert [o.name for o in run_options() if not o.separates] == ["root", "save_map", "check", "seed"]
     inputs = {o.name for o in run_options() if o.changes_input}
     images = {"camera", "dataset", "sequence", "root", "fov", "width", "every", "max_frames"}
     truth = {"groundtruth", "groundtruth_scale", "align_time"}

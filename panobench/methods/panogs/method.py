@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
+from panobench.maps.saved import SavedMap
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.continuation import add_places, continue_map, saved_map
 from panobench.methods.panogs.exposure import ExposureMatcher
 from panobench.methods.panogs.factors import FactorGraph
 from panobench.methods.panogs.fixed_lag import FixedLag
@@ -84,6 +86,8 @@ class PanogsMethod(OnlineMethod):
         self.waiting: list[Frame] = []
         self.before_first: list[Frame] = []  # frames before the one whose depth the map starts from
         self.numbers: dict[int, dict[str, float]] = {}
+        if context.saved_map is not None:
+            self._go_on(context.saved_map)
 
     @property
     def _projection(self) -> Projection:
@@ -247,6 +251,15 @@ class PanogsMethod(OnlineMethod):
                 return frames, found
         return frames, estimator.finish() or estimate
 
+    def _go_on(self, saved: SavedMap) -> None:
+        """Start lost in a saved map: the first frames are looked for in it."""
+        continue_map(saved, self.camera, self.mapper, self.trajectory)
+        keyframes = self.trajectory.keyframes
+        add_places(self.places, self.mapper.map.gaussians, [v.T_wc for v in keyframes], self.mapper.renderer)
+        self.tracker.reset(keyframes[-1].T_wc)
+        self.relocaliser.interrupted()
+        self._enter(Phase.LOST)
+
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def finish(self) -> Estimate:
@@ -258,14 +271,14 @@ class PanogsMethod(OnlineMethod):
         self.jobs.finish()
         self._track_before_first()
         self.mapper.optimiser.polish(self.config.mapping.final_iterations * len(self.trajectory.keyframes))
-        indices = sorted(self.trajectory)
+        indices = sorted(i for i in self.trajectory if i >= 0)  # others are a saved map's
         times = np.array([self.trajectory.time(i) for i in indices])
         poses = np.array([self.trajectory[i] for i in indices]).reshape(-1, 4, 4)
         gaussians = self.mapper.map.gaussians
         return Estimate(
             Trajectory(times, poses),
-            keyframes=sorted(v.index for v in self.trajectory.keyframes),
-            metric=bool(self.first_depth and self.first_depth.metric),
+            keyframes=sorted(v.index for v in self.trajectory.keyframes if v.index >= 0),
+            metric=self._metric,
             map=gaussians if len(gaussians) else None,
             frames=self.numbers,
             depth=self.first_depth,
@@ -287,10 +300,19 @@ class PanogsMethod(OnlineMethod):
                 self.trajectory.restore(frame.index, estimated)
         self.jobs.finish()
 
+    @property
+    def _metric(self) -> bool:
+        """Whether the map's unit is the metre."""
+        saved = self.context.saved_map
+        return saved.metric if saved else bool(self.first_depth and self.first_depth.metric)
+
+    def saved_map(self) -> SavedMap | None:
+        return saved_map(self.mapper, self.camera, self.trajectory, self._metric, "panogs")
+
     # -- looking at it -------------------------------------------------------------------------------------------------
 
     def known_poses(self) -> dict[int, NDArray[np.float64]]:
-        return {index: self.trajectory[index] for index in self.trajectory}
+        return {index: self.trajectory[index] for index in self.trajectory if index >= 0}
 
     def live_map(self) -> LiveMap | None:
         gaussians = self.mapper.map.gaussians
