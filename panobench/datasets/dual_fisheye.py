@@ -8,14 +8,16 @@
         y: 0
         camera: {model: fisheye, width: 960, height: 960, fx: ..., ...}      # or the name of a calibration file
         yaw_pitch_roll_deg: [0, 0, 0]                                        # or R_rig_lens: 3x3
-      - {x: 960, y: 0, camera: ..., yaw_pitch_roll_deg: [180, 0, 0]}
+        t_rig_lens: [0, 0, 0.02]                                             # its centre in the rig's axes, metres
+      - {x: 960, y: 0, camera: ..., yaw_pitch_roll_deg: [180, 0, 0], t_rig_lens: [0, 0, -0.02]}
 
-The lenses are assumed to share one centre: closer than a few metres their distance is visible at the rim.
+With ``t_rig_lens`` the lenses are a rig, and things two metres away are stitched without a seam. Without it they are
+taken to share one centre: closer than a few metres their distance is visible at the rim.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from panobench.cameras.stitching import Stitcher
 from panobench.cameras.views import look_rotation
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
+from panobench.datasets.images import resize_image
 from panobench.datasets.locate import choose_sequence
 from panobench.datasets.video import video_files, video_provenance, video_remarks
 from panobench.errors import CalibrationError, DatasetError, UsageError
@@ -39,17 +42,22 @@ from panobench.reading import inside, number_array, parse_yaml, read_text
 from panobench.video.reader import VideoReader
 
 Array = NDArray[np.float64]
-_KEYS = {"x", "y", "camera", "yaw_pitch_roll_deg", "R_rig_lens"}
+_KEYS = {"x", "y", "camera", "yaw_pitch_roll_deg", "R_rig_lens", "t_rig_lens"}
+#: Lenses whose centres are known are stitched for things so far away, metres.
+_STITCHED_AT_M = 2.0
 
 
 @dataclass(frozen=True)
 class Lens:
-    """One lens: its camera, the corner of its picture in the frame (pixels) and its rotation into the rig's axes."""
+    """One lens: its camera, the corner of its picture in the frame (pixels), its rotation into the rig's axes and its
+    centre in them (metres).
+    """
 
     camera: Camera
     x: int
     y: int
     R_rig_lens: Array
+    centre: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -61,8 +69,8 @@ class DualFisheye:
 
     @property
     def rig(self) -> Rig:
-        """The lenses with one centre."""
-        return Rig(tuple(RigLens(lens.camera, make_pose(lens.R_rig_lens, np.zeros(3))) for lens in self.lenses))
+        """The lenses and their poses; with one centre where their centres are not known."""
+        return Rig(tuple(RigLens(lens.camera, make_pose(lens.R_rig_lens, lens.centre)) for lens in self.lenses))
 
     def pictures(self, frame: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
         """Each lens's part of a frame (H, W, 3)."""
@@ -103,11 +111,14 @@ def _lens(values: Any, k: int, path: Path) -> Lens:
             yaw, pitch, roll = (float(v) for v in values.get("yaw_pitch_roll_deg", (180.0 * k, 0, 0)))
             R = look_rotation(yaw, pitch, roll).T
         x, y = int(values.get("x", 0)), int(values.get("y", 0))
+        centre = number_array(values.get("t_rig_lens", [0.0, 0.0, 0.0]))
     except (TypeError, ValueError, OverflowError) as error:
         raise CalibrationError(f"lens {k}: {error}", path) from None
     if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0:
         raise CalibrationError(f"lens {k}: 'R_rig_lens' is not a rotation", path)
-    return Lens(model, x, y, R)
+    if centre.shape != (3,) or not (np.abs(centre) < 10).all():
+        raise CalibrationError(f"lens {k}: 't_rig_lens' must be three numbers, in metres", path)
+    return Lens(model, x, y, R, centre)
 
 
 def _camera_beside(path: Path, name: str) -> Camera:
@@ -133,11 +144,26 @@ class DualFisheyeSequence(FrameSequence):
             raise UsageError(f"--width {width}: a panorama's width must be even")
         native = parse_camera_option("erp", rig.lenses[0].camera, width).camera
         camera = ErpCamera(native.width, native.height)
-        self._lenses, self._stitcher = rig, Stitcher(rig.rig, camera, rig.blend_deg)
+        apart = rig.rig.baseline_m > 0
+        self._lenses = rig
+        self._stitcher = Stitcher(rig.rig, camera, rig.blend_deg, _STITCHED_AT_M if apart else None)
+        full = parse_camera_option("erp", rig.lenses[0].camera, None).camera.width
+        self._rig = rig.rig.scaled(min(1.0, camera.width / full)) if apart else None
         self.camera = camera if self._stitcher.valid.all() else camera.with_mask(self._stitcher.valid)
         self.name, self.dataset = name, "insta360-dual-fisheye"
         self.times = self.reader.times
         self._files = [path, calibration]
+
+    @property
+    def rig(self) -> Rig | None:
+        return self._rig
+
+    def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
+        if self._rig is None:
+            return ()
+        pictures = self._lenses.pictures(self.reader.read(range(len(self))[index]))
+        sizes = [(lens.camera.width, lens.camera.height) for lens in self._rig.lenses]
+        return tuple(resize_image(picture, *size) for picture, size in zip(pictures, sizes, strict=True))
 
     def image(self, index: int) -> NDArray[np.uint8]:
         return self._stitcher.image(self._lenses.pictures(self.reader.read(range(len(self))[index])))
@@ -152,6 +178,7 @@ class DualFisheyeSequence(FrameSequence):
             "root": str(self._files[0]),
             **video_provenance(self.reader),
             "blend_deg": self._lenses.blend_deg,
+            **({} if self._rig is None else {"baseline_m": self._rig.baseline_m}),
             **files_provenance(self._files),
         }
 

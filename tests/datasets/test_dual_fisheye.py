@@ -97,6 +97,32 @@ def test_a_video_of_two_circles(tmp_path: Path) -> None:
         open_sequence("insta360-dual-fisheye", None, tmp_path / "none.mp4")
 
 
+def test_lenses_whose_centres_are_known_are_a_rig(tmp_path: Path) -> None:
+    writer = cv2.VideoWriter(str(tmp_path / "walk.mp4"), cv2.VideoWriter.fourcc(*"mp4v"), 30, (272, 136))
+    writer.write(frame()[..., ::-1])
+    writer.release()
+    write(tmp_path, rig_values())
+    central = open_sequence("insta360-dual-fisheye", "walk", tmp_path, 120)
+    assert central.rig is None
+    assert central.lens_images(0) == ()
+    values = rig_values()
+    for lens, z in zip(values["lenses"], (0.02, -0.021)):  # type: ignore[call-overload]
+        lens["t_rig_lens"] = [0.0, 0.0, z]
+    write(tmp_path, values)
+    sequence = open_sequence("insta360-dual-fisheye", "walk", tmp_path, 120)
+    rig = sequence.rig
+    assert rig is not None
+    assert rig.baseline_m == pytest.approx(0.041)
+    pictures = sequence.lens_images(0)
+    assert [p.shape[1] for p in pictures] == [lens.camera.width for lens in rig.lenses]
+    assert 50 < pictures[0].shape[1] < 128
+    assert np.abs(pictures[0].astype(float).mean() - frame()[4:132, :128].mean()) < 4
+    values["lenses"][0]["t_rig_lens"] = [0, 1]  # type: ignore[index]
+    write(tmp_path, values)
+    with pytest.raises(CalibrationError, match="must be three numbers"):
+        open_sequence("insta360-dual-fisheye", "walk", tmp_path)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
