@@ -192,6 +192,10 @@ class MappingOptions(Options):
         0.01, "summed weight below which a view's steps leave a Gaussian out; 0: draw all", unit="px"
     )
     final_iterations: int = option(15, "steps per keyframe at the end, on all views, with falling rates")
+    final_rounds: int = option(
+        1, "rounds of such steps, at most, each twice as long as the one before; more than 1: while views left out gain"
+    )
+    final_gain: float = option(0.05, "least that the pictures of these views must gain for another round", unit="dB")
     final_rate: float = option(0.1, "learning rates at the end of these steps over those at the start", above=0)
 
 
@@ -269,4 +273,6 @@ PAPER: dict[str, Any] = {
 }
 #: For those who want the trajectory soon and a sketch of the map.
 FAST: dict[str, Any] = {"mapping.iterations": 5, "mapping.final_iterations": 3}
-PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER, "fast": FAST}
+#: For those who want the best pictures, and can wait: the map is trained until they stop getting better.
+BEST: dict[str, Any] = {"mapping.final_iterations": 30, "mapping.final_rounds": 4}
+PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER, "fast": FAST, "best": BEST}

@@ -19,6 +19,8 @@ from panobench.splat.render import Render, Renderer
 
 #: Least standard deviation of a Gaussian, in median depths.
 SMALLEST = 1e-4
+#: One of so many views is left out of the last steps where their pictures decide when to stop.
+LEFT_OUT = 10
 
 
 class MapOptimiser:
@@ -91,14 +93,49 @@ class MapOptimiser:
             out += round_
         return out[:iterations]
 
-    def polish(self, iterations: int) -> None:
-        """The last steps, on all views that have an image in random order, with falling rates.
+    def finish(self) -> None:
+        """The last steps, in one or more rounds.
+
+        With more than one, every tenth view is left out of them: each round is twice as long as the one before, and
+        the last is the one that no longer brings the pictures of those views ``final_gain``.
+        """
+        views, o = self._views(), self.options
+        iterations = o.final_iterations * len(self.trajectory.keyframes)
+        if o.final_rounds <= 1:
+            self.polish(iterations, views)
+            return
+        unseen = views[LEFT_OUT // 2 :: LEFT_OUT]
+        trained = [v for v in views if not any(v is u for u in unseen)]
+        before = -np.inf
+        for round_ in range(o.final_rounds):
+            self.polish(iterations << round_, trained)
+            now = self._psnr(unseen)
+            if not now >= before + o.final_gain:
+                return
+            before = now
+
+    def _views(self) -> list[View]:
+        """Keyframes and other frames that have an image, each once."""
+        every = {id(v): v for v in [*self.trajectory.keyframes, *self.trajectory.frames]}.values()
+        return [v for v in every if v.image.size]
+
+    def _psnr(self, views: list[View]) -> float:
+        """Mean PSNR of the map's pictures of ``views`` in dB; NaN without views."""
+        found = []
+        for view in views:
+            render = self.renderer.forward(self.map.gaussians, view.T_wc)
+            image = np.exp(-view.gain) * (view.image / np.float32(255) - view.offset)
+            squared = ((np.clip(render.colour, 0, 1) - image) ** 2).mean(axis=2)
+            found.append(-10 * np.log10(float((self.weights * squared).sum() / self.weights.sum()) + 1e-12))
+        return float(np.mean(found)) if found else float("nan")
+
+    def polish(self, iterations: int, views: list[View] | None = None) -> None:
+        """Steps on ``views`` (all that have an image) in random order, with falling rates.
 
         At constant rates single-view steps never converge: what one view wants, the next one takes back. Nothing is
         tracked on the map any more, so discs may leave their plane freely.
         """
-        every = {id(v): v for v in [*self.trajectory.keyframes, *self.trajectory.frames]}.values()
-        views = [v for v in every if v.image.size]
+        views = self._views() if views is None else views
         order = [int(i) for _ in range(iterations // max(len(views), 1) + 1) for i in self.rng.permutation(len(views))]
         for k, i in enumerate(order[:iterations]):
             share = self.options.final_rate ** (k / iterations)

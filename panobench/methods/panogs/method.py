@@ -270,7 +270,7 @@ class PanogsMethod(OnlineMethod):
                 self._initialise(estimate)
         self.jobs.finish()
         self._track_before_first()
-        self.mapper.optimiser.polish(self.config.mapping.final_iterations * len(self.trajectory.keyframes))
+        self.mapper.optimiser.finish()
         indices = sorted(i for i in self.trajectory if i >= 0)  # others are a saved map's
         times = np.array([self.trajectory.time(i) for i in indices])
         poses = np.array([self.trajectory[i] for i in indices]).reshape(-1, 4, 4)

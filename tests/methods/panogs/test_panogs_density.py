@@ -9,6 +9,7 @@ from panobench.cameras.pinhole import PinholeCamera
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, make_pose, matrix_from_quaternion
 from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.map_optimiser import LEFT_OUT
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.seed_pattern import EVEN, LEVELS, SeedPattern
 from panobench.methods.panogs.split import SplitRule, halves, too_coarse
@@ -148,3 +149,34 @@ def test_the_last_steps_better_the_map_and_leave_the_poses() -> None:
     assert error() < 0.9 * before
     assert all(np.array_equal(v.T_wc, T_wc[v.index]) for v in views)
     mapper.optimiser.polish(0)
+
+
+@pytest.mark.slow
+def test_last_steps_go_on_while_views_that_were_left_out_gain() -> None:
+    """Rounds double, never train on the views that judge them, and leave those better."""
+    sequence = RoomsDataset().open("tiny", width=128)
+    depth, groundtruth = sequence.depth(0), sequence.groundtruth
+    assert depth is not None
+    assert groundtruth is not None
+    T_wc = invert_pose(groundtruth.T_wc[0]) @ groundtruth.T_wc
+    config = configured(start__iterations=0, mapping__final_iterations=3, mapping__final_rounds=5)
+    mapper = Mapper(sequence.camera, Renderer(sequence.camera), config, AnchoredTrajectory(), 0)
+    views = [View(i, sequence.image(i), T_wc[i].copy()) for i in range(12)]
+    mapper.initialise(views[0], 0.0, depth)
+    for view in views[1:]:
+        mapper.add_keyframe(view, [view, *mapper.window], 0.0)
+    optimiser, rounds = mapper.optimiser, list[int]()
+    unseen = views[LEFT_OUT // 2 :: LEFT_OUT]
+    before, polish = optimiser._psnr(unseen), optimiser.polish
+
+    def counted(iterations: int, of: list[View] | None = None) -> None:
+        assert of is not None
+        assert not {id(v) for v in of} & {id(v) for v in unseen}
+        rounds.append(iterations)
+        polish(iterations, of)
+
+    optimiser.polish = counted  # type: ignore[method-assign]
+    optimiser.finish()
+    assert rounds == [36 << k for k in range(len(rounds))]
+    assert len(rounds) >= 2
+    assert optimiser._psnr(unseen) > before + 1.0
