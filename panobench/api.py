@@ -223,6 +223,25 @@ class Runs(Sequence[Run]):
         write_report([run.folder for run in self], Path(output))
         return Path(output)
 
+    def figures(
+        self,
+        folder: Path | str,
+        *,
+        width: str = "3.4in",
+        formats: str = "pdf,svg",
+        rename: Mapping[str, str] | None = None,
+    ) -> list[Path]:
+        """Write figures for a paper, as `panobench report --figures` does, and return their paths.
+
+        rename: what to call methods. Raises UsageError and UnavailableError as the command does.
+        """
+        from panobench.report.collect import collect
+        from panobench.report.paper.style import parse_formats, parse_width
+        from panobench.report.paper.write import write_figures
+
+        collection = collect([run.folder for run in self])
+        return write_figures(collection, Path(folder), parse_width(width), parse_formats(formats), dict(rename or {}))
+
     def _repr_html_(self) -> str:
         more = f"<p>and {len(self) - 20} more</p>" if len(self) > 20 else ""
         return "".join(run._repr_html_() for run in self[:20]) + more

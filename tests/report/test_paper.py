@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fake_runs import write_run
 
+import panobench
 from panobench.bench.study_record import StudyResult, write_study
 from panobench.cli.main import run as command
 from panobench.errors import UnknownNameError, UsageError
@@ -173,6 +174,12 @@ def test_the_command_writes_figures(suite, tmp_path, capsys):
     assert lines
     assert all(Path(line).is_file() for line in lines)
     assert command([*arguments[:-1], "png"]) == 2
+
+
+def test_figures_from_python(suite, tmp_path):
+    written = panobench.load(suite).figures(tmp_path / "f", width="86mm", formats="svg")
+    assert {path.name for path in written} >= {"rooms-room1-paths.svg", "accuracy-speed.svg"}
+    assert all(path.is_file() for path in written)
 
 
 def two_datasets(folder: Path) -> Path:
