@@ -85,7 +85,8 @@ class BootstrapDepth(DepthEstimator):
     def add(self, frame: Frame) -> DepthEstimate | None:
         o = self.options
         self.frames.append(frame)
-        levels = pyramid(luma_of_frame(frame.image, self.valid))
+        valid = self.valid if frame.mask is None else self.valid & frame.mask
+        levels = pyramid(luma_of_frame(frame.image, valid))
         unused = self.solver.fine.level  # levels above the fine working size are not kept
         self.pyramids.append([np.empty((0, 0), np.float32)] * unused + levels[unused:])
         self.starts.add(frame, self.pyramids)

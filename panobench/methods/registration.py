@@ -17,6 +17,7 @@ METHODS: tuple[MethodSpec, ...] = (
         install="built in",
         config="panobench.methods.panogs.config:PanogsConfig",
         presets=PANOGS_PRESETS,
+        frame_masks=True,
         maps=True,
     ),
     MethodSpec(

@@ -109,6 +109,16 @@ class SeedingOptions(Options):
 
 
 @dataclass(frozen=True)
+class MovingOptions(Options):
+    """What moves through the scene by itself, and is left out of the map."""
+
+    enabled: bool = option(True, "leave out of the map what later frames do not confirm")
+    error: float = option(0.16, "colour error from which a frame contradicts the map", unit="of 1")
+    share: float = option(0.02, "share of a frame that must contradict the map for anything to be left out")
+    confirmed: float = option(0.03, "mean difference up to which later frames confirm what a frame shows", unit="of 1")
+
+
+@dataclass(frozen=True)
 class DensityOptions(Options):
     """Refining and thinning the map."""
 
@@ -228,6 +238,7 @@ class PanogsConfig(Options):
     relocalisation: RelocalisationOptions = field(default_factory=RelocalisationOptions)
     keyframes: KeyframeOptions = field(default_factory=KeyframeOptions)
     seeding: SeedingOptions = field(default_factory=SeedingOptions)
+    moving: MovingOptions = field(default_factory=MovingOptions)
     density: DensityOptions = field(default_factory=DensityOptions)
     fixed_lag: FixedLagOptions = field(default_factory=FixedLagOptions)
     factors: FactorOptions = field(default_factory=FactorOptions)
@@ -251,6 +262,7 @@ PAPER: dict[str, Any] = {
     "keyframes.wide": 1.0,
     "seeding.pixels_per_gaussian": 4.0,
     "seeding.carve": False,
+    "moving.enabled": False,
     "density.adaptive": False,
     "fixed_lag.sweep": False,
     "fixed_lag.smooth": False,

@@ -9,15 +9,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 from panobench.cameras.base import Camera
 from panobench.methods.panogs.config import FixedLagOptions
 from panobench.methods.panogs.frame_buffer import BufferedFrame, FrameBuffer
+from panobench.methods.panogs.frame_votes import FrameVotes
 from panobench.methods.panogs.lag_smoother import LagSmoother
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.swept_depth import DepthSweep, SweptDepth
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewShare, ViewWidth
+from panobench.splat.gaussians import F32
+from panobench.splat.render import Render
 
 #: A sweep over so many frames takes every second one.
 MANY = 8
@@ -43,6 +50,7 @@ class FixedLag:
         self.options, self.mapper, self.trajectory = options, mapper, trajectory
         self.buffer = FrameBuffer(camera, options)
         self.depth_sweep = DepthSweep(camera, self.buffer.sweep_scale, options)
+        self.votes = FrameVotes(camera, trajectory)
         self.smoother = LagSmoother(self.buffer.fine_scale, options)
         self.width, self.view_share = ViewWidth.of(camera), ViewShare(camera)
         self.sweep_wanted = False
@@ -80,7 +88,7 @@ class FixedLag:
         target = found.swept.target
         used = [f.index for f in found.used]
         swept = found.swept.rescaled(trajectory.relative(target.index, used))
-        view = View(target.index, target.image, trajectory[target.index])
+        view = View(target.index, target.image, trajectory[target.index], visible=target.visible)
         render = m.renderer.forward(m.map.gaussians, view.T_wc, sloped=True)
         mapped = render.expected_depth(0.5)
         if found.smoothed:
@@ -89,10 +97,29 @@ class FixedLag:
             swept = swept.rescaled(trajectory.relative(target.index, used))
         if self.options.sweep:
             disproved = self.depth_sweep.disproved(swept, mapped)
-            m.insert(view, render, self.depth_sweep.full_size(swept), disproved)
+            confirmed = None
+            if m.transients.active:
+                confirmed = self._confirmed(view, render, mapped, swept, m.wrong(view, render) | disproved)
+            m.insert(view, render, self.depth_sweep.full_size(swept), disproved, confirmed)
+
+    def _confirmed(
+        self, view: View, render: Render, mapped: F32, swept: SweptDepth, doubted: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """(H, W): where the frames since, and most of all frames, show what the swept frame does, and not the map."""
+        votes = self.votes
+        agreed = self.depth_sweep.confirmed(swept, self.mapper.config.moving.confirmed)
+        where = votes.small(doubted.view(np.uint8)) > 0
+        drawn = votes.soft(np.ascontiguousarray(255 * render.colour))
+        for_map = votes.count(view.T_wc, where, votes.small(mapped), drawn)
+        for_frame = votes.count(view.T_wc, where, votes.small(swept.depth), votes.soft(view.image))
+        preferred = np.zeros(where.shape, np.uint8)
+        preferred[where] = for_frame > for_map
+        agreed &= cv2.resize(preferred, agreed.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+        return self.depth_sweep.by_area(agreed, doubted)
 
     def _sees_new(self, target: BufferedFrame) -> bool:
-        m, view = self.mapper, View(target.index, target.image, self.trajectory[target.index])
+        m, T_wc = self.mapper, self.trajectory[target.index]
+        view = View(target.index, target.image, T_wc, visible=target.visible)
         render = m.renderer.forward(m.map.gaussians, view.T_wc)
         return float(m.weights[m.unknown(view, render)].sum()) > self.options.new_share
 

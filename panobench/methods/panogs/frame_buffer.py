@@ -23,7 +23,7 @@ FINE_WIDTH = 512
 class BufferedFrame:
     """A tracked frame: its index, image (H, W, 3) and luma (h, w) at the sweep's and at the fine working size.
 
-    mappable: False for a held-out frame, which the map must never see.
+    mappable: False for a held-out frame, which the map must never see. visible (H, W): as ``View.visible``.
     """
 
     index: int
@@ -31,6 +31,7 @@ class BufferedFrame:
     luma: F32
     fine: F32
     mappable: bool = True
+    visible: NDArray[np.bool_] | None = None
 
 
 class FrameBuffer:
@@ -56,7 +57,7 @@ class FrameBuffer:
         if sweep.shape != self.sweep_scale.valid.shape:
             return None
         self._last = position
-        self._frames.append(BufferedFrame(frame.index, frame.image, sweep, fine, frame.mappable))
+        self._frames.append(BufferedFrame(frame.index, frame.image, sweep, fine, frame.mappable, frame.mask))
         return self._frames[-1]
 
     def clear(self) -> None:

@@ -12,6 +12,7 @@ from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.culling import VisibilityCulling
 from panobench.methods.splatting.trainable_map import TrainableMap
+from panobench.methods.splatting.transients import Transients
 from panobench.methods.splatting.views import View
 from panobench.splat.adam import LearningRates
 from panobench.splat.loss import photometric_loss, pixel_weights
@@ -42,6 +43,8 @@ class MapOptimiser:
         self.renderer, self.map, self.trajectory, self.rng = renderer, trainable, trajectory, rng
         self.config, self.options = config, config.mapping
         self.weights = pixel_weights(camera, config.rendering.weights)
+        m = config.moving
+        self.transients = Transients(self.weights, m.error, m.share if m.enabled else 1.0, camera.kind == "erp")
         self.window: list[View] = []
         self.scene_depth = 1.0
         self._planned: deque[View] = deque()
@@ -157,6 +160,10 @@ class MapOptimiser:
         self.update_culling(view, render)
         # Where there are no Gaussians yet, the loss would make the neighbours spread.
         weights = self.weights * (render.opacity > 0.5) if self.config.fixed_lag.sweep else self.weights
+        if view.visible is not None:
+            weights = weights * view.visible
+        if self.transients.active:
+            weights = weights * ~self.transients.contradicted(view.image, render)
         loss, gradient, _ = photometric_loss(
             render.planes, view.image, weights, view.gain, view.offset, self.config.rendering.knee
         )

@@ -17,6 +17,7 @@ from panobench.methods.panogs.trajectory import AnchoredTrajectory, WorldMotion
 from panobench.methods.splatting.covisibility import overlap, update_window
 from panobench.methods.splatting.seeding import fill_depth, seed_gaussians
 from panobench.methods.splatting.trainable_map import TrainableMap
+from panobench.methods.splatting.transients import Transients
 from panobench.methods.splatting.views import SeenGaussians, View
 from panobench.photometric.overlap import ViewWidth
 from panobench.splat.gaussians import F32
@@ -57,6 +58,11 @@ class Mapper:
         return self.optimiser.scene_depth
 
     @property
+    def transients(self) -> Transients:
+        """What contradicts the map."""
+        return self.optimiser.transients
+
+    @property
     def window(self) -> list[View]:
         """Keyframes that are optimised together, newest first."""
         return self.optimiser.window
@@ -71,7 +77,7 @@ class Mapper:
         """The first map, from the first keyframe and its radial depth (H, W)."""
         depth_map = fill_depth(depth_map, self.camera.kind == "erp")
         self.optimiser.scene_depth = float(np.nanmedian(depth_map))
-        self._seed(view, depth_map, *self.pattern.seeds(view.image, None, self.rng))
+        self._seed(view, depth_map, *self.pattern.seeds(view.image, view.visible, self.rng))
         render = self.renderer.forward(self.map.gaussians, view.T_wc, count_touched=True)
         view.seen = self._seen(render)
         self.add_keyframe(view, [view], time)
@@ -84,7 +90,7 @@ class Mapper:
         """
         c, render = self.config, tracked.render
         last = self.window[0]
-        view = View(frame.index, frame.image, tracked.T_wc, seen=self._seen(render))
+        view = View(frame.index, frame.image, tracked.T_wc, seen=self._seen(render), visible=frame.mask)
         assert view.seen is not None
         assert last.seen is not None
         self.optimiser.update_culling(view, render)
@@ -102,7 +108,7 @@ class Mapper:
             return False, new_share
         self.add_keyframe(view, update_window(self.window, view, c.keyframes.window, self.map.ids))
         if c.density.adaptive and new_share < c.density.split_new_share:
-            self.split(view, render, ~unknown)
+            self.split(view, render, ~unknown if view.visible is None else ~unknown & view.visible)
         before = len(self.map)
         self.optimiser.plan(c.mapping.iterations)
         guess = self.width is ViewWidth.NARROW and new_share > c.seeding.guess_share
@@ -154,7 +160,8 @@ class Mapper:
 
     def unknown(self, view: View, render: Render) -> Mask:
         """(H, W): where the map is thin or wrong."""
-        return self.thin(render) | self.wrong(view, render)
+        unknown = self.thin(render) | self.wrong(view, render)
+        return unknown if view.visible is None else unknown & view.visible
 
     @staticmethod
     def _error(view: View, render: Render) -> F32:
@@ -163,21 +170,35 @@ class Mapper:
 
     # -- growing -----------------------------------------------------------------------------------------------------
 
-    def insert(self, view: View, render: Render, swept: F32 | None = None, disproved: Mask | None = None) -> int:
+    def insert(
+        self,
+        view: View,
+        render: Render,
+        swept: F32 | None = None,
+        disproved: Mask | None = None,
+        confirmed: Mask | None = None,
+    ) -> int:
         """New Gaussians where the map is thin or wrong in ``view``, of which ``render`` is; returns how many.
 
         Depth is ``swept`` (H, W) from the last frames if given. Else it is the rendered depth, or that of the nearest
         pixel that has one (across the seam) plus a small perturbation (DGIS); without ``depth_guided`` it is the median
         depth, perturbed as in MonoGS. disproved (H, W): where the swept depth also replaces what the map has.
+        confirmed (H, W): nothing is replaced elsewhere.
         """
         wanted = self.thin(render)
         if swept is not None:
             wrong = self.wrong(view, render)
             if disproved is not None:
                 wrong |= disproved & (self.weights > 0)
+            if confirmed is not None:
+                wrong &= confirmed
+            if view.visible is not None:
+                wrong &= view.visible
             wanted |= wrong
             if self.config.seeding.carve:
                 self.carve(view, render, wrong, swept)
+        if view.visible is not None:
+            wanted &= view.visible
         pixels, spacing = self.pattern.seeds(view.image, wanted, self.rng)
         if len(pixels) == 0:
             return 0

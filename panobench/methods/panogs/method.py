@@ -33,6 +33,7 @@ from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
+from panobench.photometric.pyramid import F32
 from panobench.splat.render import Renderer
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
@@ -70,6 +71,7 @@ class PanogsMethod(OnlineMethod):
         self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places, c.relocalisation)
         self.mapper = Mapper(camera, renderer, c, self.trajectory, context.seed)
+        self.tracker.transients = self.mapper.transients
         self.shutter = RollingShutter(camera, c.rolling_shutter)
         self.exposure = ExposureMatcher(self.mapper.weights, width, c.exposure)
         self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)
@@ -136,12 +138,12 @@ class PanogsMethod(OnlineMethod):
         gaussians, given, rate = self.mapper.map.gaussians, frame.image, self.shutter.predicted_rate()
         frame = replace(frame, image=self.shutter.rectified(given, rate)) if self.shutter.enabled else frame
         before = self.tracker.T_last
-        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians)
+        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
         measured = self.shutter.measured_rate(frame.time, tracked.T_wc)
         if self.shutter.enabled and self.shutter.differ(measured, rate) and before is not None:
             frame = replace(frame, image=self.shutter.rectified(given, measured))
             self.tracker.reset(before, invert_pose(before) @ tracked.T_wc)
-            tracked = self.tracker.track(self.exposure.before(frame.image), gaussians)
+            tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
         return frame, tracked
 
     def _at_map_exposure(self, frame: Frame, tracked: Tracked) -> Frame:
@@ -149,15 +151,27 @@ class PanogsMethod(OnlineMethod):
         image = self.exposure.after(frame.image, tracked.render)
         if image is frame.image:
             return frame
-        self.tracker.pyramid = self.tracker.frame_pyramid(image)
+        self.tracker.pyramid = self.tracker.frame_pyramid(image, frame.mask)
         return replace(frame, image=image)
 
     def _record(self, frame: Frame, tracked: Tracked, scene_depth: float) -> None:
         """Remember the pose, and the image where it moved, for the jobs behind the tracker."""
         self.trajectory.add(frame.index, frame.time, tracked.T_wc, self.mapper.window[0])
         buffered = self.lag.buffer.add(frame, self.tracker.pyramid, tracked.T_wc[:3, 3], scene_depth)
+        self.lag.votes.add(frame)
+        moving = self.mapper.transients.look(frame.image, tracked.render)
+        self.tracker.hidden = moving
+        if moving is not None:
+            self._note(frame, contradicts=self.mapper.weights[moving].sum())
         if buffered:
-            self.graph.add(frame.index, buffered.fine)
+            fine = buffered.fine if moving is None else self._without(buffered.fine, moving)
+            self.graph.add(frame.index, fine)
+
+    @staticmethod
+    def _without(luma: F32, hidden: NDArray[np.bool_]) -> F32:
+        """Luma (h, w) without what is hidden (H, W) at full size."""
+        small = cv2.resize(hidden.view(np.uint8), luma.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+        return np.where(small, np.float32(np.nan), luma)
 
     def _map(self, frame: Frame, tracked: Tracked) -> None:
         """Make the frame a keyframe if it should be one; else the map is trained on it like on others."""
@@ -217,10 +231,10 @@ class PanogsMethod(OnlineMethod):
             rectified, estimate = self._estimate_rectified(waiting, estimate)
             self.first_depth = estimate
         first = next(f for f in rectified if f.index == estimate.frame_index)
-        view = View(first.index, first.image, np.eye(4))
+        view = View(first.index, first.image, np.eye(4), visible=first.mask)
         self.shutter.record(first.time, view.T_wc)
         self.mapper.initialise(view, first.time, estimate.depth)
-        levels = self.tracker.frame_pyramid(view.image)
+        levels = self.tracker.frame_pyramid(view.image, first.mask)
         self.graph.add(first.index, levels[self.lag.buffer.fine_scale.level])
         self.places.add(self.places.thumbnail(levels[-1]))
         self.tracker.reset(view.T_wc)
@@ -282,7 +296,11 @@ class PanogsMethod(OnlineMethod):
             map=gaussians if len(gaussians) else None,
             frames=self.numbers,
             depth=self.first_depth,
-            extra={"gaussians": len(gaussians), "projection": self._projection},
+            extra={
+                "gaussians": len(gaussians),
+                "projection": self._projection,
+                "moving": self.mapper.transients.active,
+            },
         )
 
     def _track_before_first(self) -> None:

@@ -22,6 +22,8 @@ from panobench.photometric.sweep import reprojection_error
 
 #: Pixels over which errors are averaged before they are compared.
 _ERROR_WINDOW = (5, 5)
+#: Areas that are confirmed as a whole are this part of the image wide; so many of their pixels must be.
+_AREA, _MAJORITY = 24, 0.5
 
 
 @dataclass
@@ -88,6 +90,28 @@ class DepthSweep:
         full = cv2.resize((other & better).view(np.uint8), (self.camera.width, self.camera.height), interpolation=0)
         return np.asarray(full > 0)
 
+    def confirmed(self, swept: SweptDepth, limit: float) -> NDArray[np.bool_]:
+        """(h, w): where both halves of the frames show at the swept depth what the target shows.
+
+        limit: of the mean difference (of 1) of images without their finest detail, which depends on where between the
+        pixels it lies.
+        """
+        target = replace(swept.target, luma=_softened(swept.target.luma))
+        soft = replace(swept, target=target, images=np.stack([_softened(image) for image in swept.images]))
+        half = len(swept.images) // 2
+        halves = (slice(None, half), slice(half, None)) if half else (slice(None),)
+        errors = [self._error(replace(soft, images=soft.images[h], T_fr=soft.T_fr[h]), soft.depth) for h in halves]
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.all([error < limit for error in errors], axis=0))
+
+    def by_area(self, agreed: NDArray[np.bool_], doubted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(H, W): areas in which the majority of the pixels that are ``doubted`` (H, W) are ``agreed`` on (h, w)."""
+        small = cv2.resize(doubted.view(np.uint8), agreed.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        around, counts = (max(agreed.shape[1] // _AREA, 3),) * 2, small.astype(np.float32)
+        most = cv2.blur(agreed * counts, around) > _MAJORITY * cv2.blur(counts, around)
+        full = cv2.resize(most.view(np.uint8), (self.camera.width, self.camera.height), interpolation=0)
+        return np.asarray(full > 0)
+
     def _error(self, swept: SweptDepth, depth: F32) -> F32:
         """Mean reprojection error around each pixel if its depth were ``depth`` (h, w), of those where it is known."""
         s, out = self.scale, np.empty(depth.shape, np.float32)
@@ -99,3 +123,8 @@ class DepthSweep:
         total = cv2.blur(np.where(known, out, 0).astype(np.float32), _ERROR_WINDOW)
         count = cv2.blur(known.astype(np.float32), _ERROR_WINDOW)
         return np.where(count > 0, total / np.maximum(count, 1e-6), np.nan).astype(np.float32)
+
+
+def _softened(luma: F32) -> F32:
+    """Luma (h, w) without its finest detail; NaN stays NaN, and spreads by a pixel or two."""
+    return np.asarray(cv2.GaussianBlur(luma, (5, 5), 1.0), dtype=np.float32)

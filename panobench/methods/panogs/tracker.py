@@ -11,6 +11,7 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.trajectory import WorldMotion
+from panobench.methods.splatting.transients import Transients
 from panobench.methods.splatting.views import PoseAdam
 from panobench.photometric.align import Alignment, align
 from panobench.photometric.overlap import ViewWidth
@@ -20,6 +21,9 @@ from panobench.photometric.weighting import reweighted
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import photometric_loss, pixel_weights
 from panobench.splat.render import Render, Renderer
+
+#: Share of the view from which it is the pose that is wrong, and not the map.
+MOST_CONTRADICTED = 0.6
 
 
 @dataclass
@@ -49,6 +53,8 @@ class Tracker:
         fine = reject_moving(camera, fine)
         self.align_options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
         self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
+        self.transients: Transients | None = None
+        self.hidden: NDArray[np.bool_] | None = None  # what contradicted the map in the last frame, if anything did
         self.reference: Reference | None = None
         self.T_reference = np.eye(4)
         self.T_last: NDArray[np.float64] | None = None
@@ -87,26 +93,37 @@ class Tracker:
         assert self.T_last is not None
         return renormalise(self.T_last @ self.velocity)
 
-    def frame_pyramid(self, image: NDArray[np.uint8]) -> list[F32]:
-        return pyramid(luma_of_frame(image, self.valid))
+    def frame_pyramid(self, image: NDArray[np.uint8], visible: NDArray[np.bool_] | None = None) -> list[F32]:
+        """Luma of ``image`` (H, W, 3), NaN outside the view and where it does not show the scene (``visible``)."""
+        return pyramid(luma_of_frame(image, self.valid if visible is None else self.valid & visible))
 
-    def track(self, image: NDArray[np.uint8], gaussians: GaussianMap) -> Tracked:
+    def track(
+        self, image: NDArray[np.uint8], gaussians: GaussianMap, visible: NDArray[np.bool_] | None = None
+    ) -> Tracked:
         """Pose of ``image`` near the prediction."""
         start = self.predict()
-        self.pyramid = self.frame_pyramid(image)
+        self.pyramid = self.frame_pyramid(image, visible)
         if self.options.solver == "adam":
             result = self._track_adam(image, gaussians, start)
         else:
-            result = self.align_to_map(self.pyramid, gaussians, start)
+            seen = self.pyramid if self.hidden is None else self._without_hidden(image, visible)
+            result = self.align_to_map(seen, gaussians, start, image)
         self.costs.append(result.cost)
         self.velocity = invert_pose(self.T_last) @ result.T_wc  # type: ignore[arg-type]
         self.T_last = result.T_wc
         return result
 
-    def align_to_map(self, frame: list[F32], gaussians: GaussianMap, T_wc: NDArray[np.float64]) -> Tracked:
+    def align_to_map(
+        self,
+        frame: list[F32],
+        gaussians: GaussianMap,
+        T_wc: NDArray[np.float64],
+        image: NDArray[np.uint8] | None = None,
+    ) -> Tracked:
         """Gauss-Newton from ``T_wc``: the coarse levels against the last render, then a fresh render for the finest.
 
-        Another render follows only if the frame turned out to be further than ``render_again_px`` from the last.
+        Another render follows only if the frame turned out to be further than ``render_again_px`` from the last. image:
+        of the frame, which is not aligned to where it contradicts the map.
         """
         T, iterations = T_wc, 0
         if self.reference is not None:
@@ -118,7 +135,7 @@ class Tracker:
             known = k > 0 or self.reference is not None
             weigh = self.config.mapping.culling_px > 0
             render = self.renderer.forward(gaussians, T, count_touched=True, sum_weights=weigh, sloped=True)
-            self.reference, self.T_reference = self.make_reference(render, len(frame)), T
+            self.reference, self.T_reference = self.make_reference(render, len(frame), image), T
             a = align(self.reference, frame, np.eye(4), self.align_options, coarsest=1 if known else None)
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations
@@ -126,12 +143,23 @@ class Tracker:
                 break
         return Tracked(T, render, a.cost, iterations, bool(np.isfinite(a.cost)) and a.overlap > 0.5, a)
 
-    def make_reference(self, render: Render, levels: int) -> Reference:
+    def make_reference(self, render: Render, levels: int, image: NDArray[np.uint8] | None = None) -> Reference:
         # What is outside the field of view could only be looked for in vain, and would count as not found.
         depth, luma = render.expected_depth(self.options.opacity_min), luma_of_planes(render.planes)
         depth[self.outside] = luma[self.outside] = np.nan
+        if image is not None and self.transients is not None and self.transients.active:
+            contradicted = self.transients.contradicted(image, render)
+            if float(self.weights[contradicted].sum()) < MOST_CONTRADICTED:
+                depth[contradicted] = luma[contradicted] = np.nan
         reference = make_reference(self.camera, luma, depth, levels, self.align_options)
         return reweighted(reference, self.config.rendering.weights)
+
+    def _without_hidden(self, image: NDArray[np.uint8], visible: NDArray[np.bool_] | None) -> list[F32]:
+        """The frame's pyramid without what hid the map a frame ago: on coarse levels its border would mix in."""
+        assert self.hidden is not None
+        if float(self.weights[self.hidden].sum()) > MOST_CONTRADICTED:
+            return self.pyramid
+        return self.frame_pyramid(image, ~self.hidden if visible is None else visible & ~self.hidden)
 
     def moved_px(self, T: NDArray[np.float64], render: Render) -> float:
         """How far the motion ``T`` moves a pixel at the median depth, roughly."""

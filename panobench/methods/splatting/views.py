@@ -53,7 +53,8 @@ class SeenGaussians:
 class View:
     """An image (H, W, 3) with its camera-to-world pose (4, 4). gain, offset: image = exp(gain) render + offset.
 
-    seen: the Gaussians it sees, for co-visibility; None where nobody asks.
+    seen: the Gaussians it sees, for co-visibility; None where nobody asks. visible (H, W): where it shows the scene;
+    None: wherever the camera sees.
     """
 
     index: int
@@ -62,6 +63,7 @@ class View:
     gain: float = 0.0
     offset: float = 0.0
     seen: SeenGaussians | None = None
+    visible: NDArray[np.bool_] | None = None
     pose_adam: PoseAdam = field(default_factory=PoseAdam)
     culling: VisibilityCulling = field(default_factory=VisibilityCulling)
 
