@@ -33,7 +33,6 @@ from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
-from panobench.photometric.pyramid import F32
 from panobench.splat.render import Renderer
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
@@ -116,6 +115,7 @@ class PanogsMethod(OnlineMethod):
         if trusted is None:
             self._enter(Phase.LOST)
             self.shutter.forget()
+            self.tracker.hidden = None
             self._note(frame, lost=1.0, tracking_s=time.perf_counter() - began)
             return
         self._enter(Phase.TRACKING)
@@ -158,20 +158,12 @@ class PanogsMethod(OnlineMethod):
         """Remember the pose, and the image where it moved, for the jobs behind the tracker."""
         self.trajectory.add(frame.index, frame.time, tracked.T_wc, self.mapper.window[0])
         buffered = self.lag.buffer.add(frame, self.tracker.pyramid, tracked.T_wc[:3, 3], scene_depth)
-        self.lag.votes.add(frame)
-        moving = self.mapper.transients.look(frame.image, tracked.render)
-        self.tracker.hidden = moving
-        if moving is not None:
-            self._note(frame, contradicts=self.mapper.weights[moving].sum())
         if buffered:
-            fine = buffered.fine if moving is None else self._without(buffered.fine, moving)
-            self.graph.add(frame.index, fine)
-
-    @staticmethod
-    def _without(luma: F32, hidden: NDArray[np.bool_]) -> F32:
-        """Luma (h, w) without what is hidden (H, W) at full size."""
-        small = cv2.resize(hidden.view(np.uint8), luma.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
-        return np.where(small, np.float32(np.nan), luma)
+            self.graph.add(frame.index, buffered.fine)
+        self.lag.votes.add(frame)
+        self.tracker.hidden = hidden = self.mapper.transients.look(frame.image, tracked.render)
+        if hidden is not None:
+            self._note(frame, contradicts=self.mapper.weights[hidden].sum())
 
     def _map(self, frame: Frame, tracked: Tracked) -> None:
         """Make the frame a keyframe if it should be one; else the map is trained on it like on others."""
