@@ -85,11 +85,13 @@ def detect_loop(aligner: Aligner, pyramid: Pyramid, keyframe: Keyframe, rng: np.
     seen = track_frame(aligner, pyramid, invert_pose(T_wc), keyframe.frame, VERIFIED, only=old)
     if seen is None:
         return None
-    # Rotation and translation are taken from the alignment, which is more accurate; the scale from the matches.
+    # Rotation and translation are taken from the alignment, which is more accurate; the scale from the matches, but for
+    # a rig, whose scale does not drift.
+    scale = 1.0 if m.lenses.several else S.scale
     T_now = invert_pose(seen.T_cw)
     R = T_now[:3, :3] @ keyframe.T_cw[:3, :3]
-    t = T_now[:3, 3] - S.scale * R @ centres[keyframe.number]
-    return Loop(keyframe.number, best, Sim3(S.scale, R, t), seen)
+    t = T_now[:3, 3] - scale * R @ centres[keyframe.number]
+    return Loop(keyframe.number, best, Sim3(scale, R, t), seen)
 
 
 def _sim3_ransac(
