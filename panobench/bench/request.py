@@ -134,6 +134,12 @@ class RunRequest:
     groundtruth_topic: str | None = run_option(
         None, "Topic of a bag's true poses, or none.", changes_input=True, label=None
     )
+    layout: str | None = run_option(
+        None,
+        "How pictures hold the sphere: erp, top-bottom, vr180, eac, fisheyes:190, ...; default: look.",
+        changes_input=True,
+        label="{}",
+    )
     groundtruth: str | None = run_option(
         None,
         "True poses: a trajectory's file (TUM, KITTI, COLMAP, transforms.json, ...) in place of the dataset's own.",
@@ -254,7 +260,7 @@ class RunRequest:
 
     def given(self) -> Given:
         """The options that go to the dataset. Raises UsageError for one that makes no sense."""
-        return Given(self.rate, self.calibration, self.topic, self.imu_topic, self.groundtruth_topic)
+        return Given(self.rate, self.calibration, self.topic, self.imu_topic, self.groundtruth_topic, self.layout)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values by name."""

@@ -41,7 +41,7 @@ class ErpCamera(ParametricCamera):
                 raise CalibrationError(f"a panorama's width must be even, not {self.width}")
             raise CalibrationError(
                 f"a panorama must be twice as wide as high, not {self.width}x{self.height}; "
-                "crop or pad it to the full sphere first"
+                "data sets images and video read parts of the sphere and other layouts"
             )
         if not 0 < self.hfov_deg <= 360:
             raise CalibrationError(f"the horizontal field of view must be in (0, 360] degrees, not {self.hfov_deg:g}")

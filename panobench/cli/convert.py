@@ -10,6 +10,7 @@ import typer
 from panobench.cli.given_options import (
     CalibrationOption,
     ImuTopicOption,
+    LayoutOption,
     RateOption,
     TopicOption,
     TruthTopicOption,
@@ -37,6 +38,7 @@ def convert(
     topic: TopicOption = None,
     imu_topic: ImuTopicOption = None,
     groundtruth_topic: TruthTopicOption = None,
+    layout: LayoutOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the sequences; default DATASET-CAMERA here.")] = None,
     width: Annotated[int | None, typer.Option(help="Width in pixels; default keeps the resolution.")] = None,
     views: Annotated[
@@ -64,7 +66,7 @@ def convert(
     if image_format not in FORMATS:
         raise UsageError(f"--format {image_format}: choose one of {', '.join(FORMATS)}")
     _check_views(to, views)
-    given = Given(rate, calibration, topic, imu_topic, groundtruth_topic)
+    given = Given(rate, calibration, topic, imu_topic, groundtruth_topic, layout)
     source = open_dataset(dataset, root, given)
     names = list(sequence) if sequence else source.sequences()
     folder = out or Path(f"{dataset}-{Path(to).stem.replace(':', '-')}")

@@ -15,3 +15,4 @@ ImuTopicOption = Annotated[str | None, typer.Option("--imu-topic", help="Topic o
 TruthTopicOption = Annotated[
     str | None, typer.Option("--groundtruth-topic", help="Topic of a bag's true poses, or none.")
 ]
+LayoutOption = Annotated[str | None, typer.Option("--layout", help="How pictures hold the sphere; default: look.")]

@@ -15,6 +15,7 @@ import typer
 from panobench.cli.given_options import (
     CalibrationOption,
     ImuTopicOption,
+    LayoutOption,
     RateOption,
     TopicOption,
     TruthTopicOption,
@@ -38,13 +39,14 @@ def probe(
     topic: TopicOption = None,
     imu_topic: ImuTopicOption = None,
     groundtruth_topic: TruthTopicOption = None,
+    layout: LayoutOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Say what a path holds, what a run makes of it and what that costs, without running anything."""
     from panobench.datasets.given import Given
     from panobench.datasets.probe import probe as look
 
-    given = Given(rate, calibration, topic, imu_topic, groundtruth_topic)
+    given = Given(rate, calibration, topic, imu_topic, groundtruth_topic, layout)
     found = look(path, dataset=dataset, sequence=sequence, width=width, given=given)
     print(json.dumps(asdict(found), indent=2) if as_json else text(found))
     if found.problem:

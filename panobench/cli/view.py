@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from panobench.cli.given_options import TopicOption
+from panobench.cli.given_options import LayoutOption, TopicOption
 from panobench.errors import UsageError
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ def view(
     dataset: Annotated[str | None, typer.Option(help="Dataset adapter; default: guessed.")] = None,
     sequence: Annotated[str | None, typer.Option(help="Sequence; default: the first.")] = None,
     topic: TopicOption = None,
+    layout: LayoutOption = None,
     frames: Annotated[int, typer.Option(min=1, max=60, help="Frames of a sequence to show.")] = 4,
     fov: Annotated[str | None, typer.Option(help="Field of view of --as, 120 or 120x60.")] = None,
     width: Annotated[int | None, typer.Option(help="Width of --as in pixels.")] = None,
@@ -58,6 +59,7 @@ def view(
 
     from panobench.bench.map_views import MapSequence, is_map
     from panobench.datasets.contact_sheet import contact_sheet
+    from panobench.datasets.given import Given
     from panobench.datasets.images import encode_image
     from panobench.datasets.look_around import write_look_around_page
     from panobench.datasets.single_image import open_anything
@@ -66,7 +68,7 @@ def view(
     if is_map(source):
         opened: FrameSequence = MapSequence(source)
     else:
-        opened = open_anything(source, camera, dataset, sequence, topic)
+        opened = open_anything(source, camera, dataset, sequence, Given(topic=topic, layout=layout))
     chosen = _spread(len(opened), frames)
     choices = _choices(as_, opened, width, fov)
     rows = _rows(opened, chosen, choices)
@@ -79,6 +81,8 @@ def view(
     write_whole(target, encode_image(sheet, ".png"))
     console = Console(highlight=False, soft_wrap=True)
     console.print(str(target))
+    for remark in opened.remarks():
+        typer.echo(f"note: {remark}", err=True)
     page = folder / f"{name}.html"
     if isinstance(opened, MapSequence):
         _write_walk(source, opened, page)

@@ -39,7 +39,7 @@ from panobench.datasets.video import video_files, video_provenance, video_remark
 from panobench.errors import CalibrationError, DatasetError, UsageError
 from panobench.geometry import make_pose
 from panobench.reading import inside, number_array, parse_yaml, read_text
-from panobench.video.reader import VideoReader
+from panobench.video.pair import open_recording
 
 Array = NDArray[np.float64]
 _KEYS = {"x", "y", "camera", "yaw_pitch_roll_deg", "R_rig_lens", "t_rig_lens"}
@@ -132,7 +132,7 @@ class DualFisheyeSequence(FrameSequence):
     """A video of two circles as panoramas of ``width`` (None: that of the lenses' resolution)."""
 
     def __init__(self, path: Path, rig: DualFisheye, calibration: Path, name: str, width: int | None) -> None:
-        self.reader = VideoReader(path)
+        self.reader = open_recording(path)
         for k, lens in enumerate(rig.lenses):
             right, bottom = lens.x + lens.camera.width, lens.y + lens.camera.height
             if lens.x < 0 or lens.y < 0 or right > self.reader.width or bottom > self.reader.height:
@@ -152,7 +152,7 @@ class DualFisheyeSequence(FrameSequence):
         self.camera = camera if self._stitcher.valid.all() else camera.with_mask(self._stitcher.valid)
         self.name, self.dataset = name, "insta360-dual-fisheye"
         self.times = self.reader.times
-        self._files = [path, calibration]
+        self._files = [*self.reader.files(), calibration]
 
     @property
     def rig(self) -> Rig | None:

@@ -13,7 +13,7 @@ from panobench.errors import UsageError
 class Given:
     """rate: images a second. calibration: a file, FILE#CAMERA for one of several. topics: of a bag.
 
-    groundtruth_topic may be "none".
+    groundtruth_topic may be "none". layout: how pictures hold the sphere (``layouts.names``).
     """
 
     rate: float | None = None
@@ -21,6 +21,7 @@ class Given:
     topic: str | None = None
     imu_topic: str | None = None
     groundtruth_topic: str | None = None
+    layout: str | None = None
 
     def __post_init__(self) -> None:
         if self.rate is not None and not 0 < self.rate <= 1e5:

@@ -7,18 +7,21 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 
 from panobench.cameras.base import Camera
 from panobench.cameras.calibration import inspect_calibration, split_choice
 from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.given import Given
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.image_times import image_times
 from panobench.datasets.images import list_images
 from panobench.datasets.listing import children, one_of_each
 from panobench.datasets.locate import choose_sequence
-from panobench.datasets.synpano import panorama_camera
-from panobench.errors import CalibrationError, DatasetError
+from panobench.errors import CalibrationError, DatasetError, UsageError
+from panobench.layouts.layout import Layout
+from panobench.layouts.reader import mask_of_panorama, panorama_of_images
 from panobench.masks.files import looks_like_mask, mask_of_folder
 
 #: Calibration files that are looked for beside images, without their endings.
@@ -30,7 +33,7 @@ class ImageFolder(Dataset):
     """Images below ``root``; ``--rate`` and ``--calibration`` say what the files do not."""
 
     name = "images"
-    takes = frozenset({"rate", "calibration"})
+    takes = frozenset({"rate", "calibration", "layout"})
 
     def _found(self) -> dict[str, Path]:
         if self.root is None:
@@ -52,8 +55,10 @@ class ImageFolder(Dataset):
         images = [path for path in list_images(folder) if not looks_like_mask(path)]
         taken = image_times(one_of_each(images), self.given.rate)
         size = check_sizes(taken.images)
-        camera, inputs, said = camera_of(taken.images[0], size, self.given.calibration)
-        mask = mask_of_folder([folder, folder.parent], size)
+        camera, inputs, said, layout = camera_of(taken.images, size, self.given)
+        mask = mask_of_panorama(
+            partial(mask_of_folder, [folder, folder.parent]), layout or Layout(), size, (camera.width, camera.height)
+        )
         remarks = [taken.source] if taken.assumed else [f"times are from {taken.source}"]
         return ImageSource(
             dataset=self.name,
@@ -65,6 +70,8 @@ class ImageFolder(Dataset):
             inputs=(*taken.inputs, *inputs, *mask.files()),
             notes={"times": taken.source, **mask.about()},
             remarks=(*remarks, *said, *mask.remarks),
+            layout=layout,
+            stored=size,
         )
 
 
@@ -88,19 +95,23 @@ def image_folders(root: Path, levels: int = 2) -> dict[str, Path]:
     return found
 
 
-def camera_of(
-    image: Path, size: tuple[int, int], calibration: str | None
-) -> tuple[Camera, tuple[Path, ...], tuple[str, ...]]:
-    """What took images of ``size`` (w, h), the files that say so, and a remark."""
+Taken = tuple[Camera, tuple[Path, ...], tuple[str, ...], Layout | None]
+
+
+def camera_of(images: list[Path], size: tuple[int, int], given: Given) -> Taken:
+    """What took images of ``size`` (w, h), the files that say so, remarks, and how panoramas lie in them."""
     remark: tuple[str, ...] = ()
+    calibration = given.calibration
     if calibration is None:
-        beside = calibration_beside(image.parent) or calibration_beside(image.parent.parent)
-        if beside is None:
-            return _panorama(size, image), (), ()
+        beside = calibration_beside(images[0].parent) or calibration_beside(images[0].parent.parent)
+        if beside is None or given.layout is not None:
+            return _panorama(images, size, given.layout)
         calibration = str(beside)
         remark = (f"the camera is from {beside.name}, which lies beside the images",)
+    if given.layout is not None:
+        raise UsageError("--layout and --calibration exclude each other: both say what took the images")
     path, _ = split_choice(calibration)
-    return for_size(inspect_calibration(calibration).camera, size, path), (path,), remark
+    return for_size(inspect_calibration(calibration).camera, size, path), (path,), remark, None
 
 
 def calibration_beside(folder: Path) -> Path | None:
@@ -109,11 +120,10 @@ def calibration_beside(folder: Path) -> Path | None:
     return next((path for path in names if path.is_file()), None)
 
 
-def _panorama(size: tuple[int, int], image: Path) -> Camera:
-    try:
-        return panorama_camera(size, image)
-    except (CalibrationError, DatasetError) as error:
-        raise DatasetError(f"{error}. If a lens took it, say which: --calibration FILE") from None
+def _panorama(images: list[Path], size: tuple[int, int], option: str | None) -> Taken:
+    """A full panorama, or what the images hold in another layout."""
+    camera, layout = panorama_of_images(images, size, option)
+    return camera, (), (layout.remark,) if layout is not None and layout.remark else (), layout
 
 
 def for_size(camera: Camera, size: tuple[int, int], path: Path) -> Camera:

@@ -15,6 +15,7 @@ from panobench.datasets.base import FrameSequence
 from panobench.datasets.checksums import files_provenance
 from panobench.datasets.images import read_depth, read_image, read_size, resize_depth, resize_image
 from panobench.errors import CalibrationError, DatasetError, UsageError
+from panobench.layouts.layout import Layout
 from panobench.types import Imu, NovelView, Trajectory
 
 
@@ -24,7 +25,8 @@ class ImageSource:
 
     native: camera of the stored images. depth: frame index -> depth file. inputs: further files read (ground truth,
     calibration), for the checksums. up: against gravity in the ground truth's world, where that is known. remarks: see
-    ``FrameSequence.remarks``. novel: reads the novel views, full size.
+    ``FrameSequence.remarks``. novel: reads the novel views, full size. layout: how panoramas lie in images of the size
+    ``stored`` (width, height); None: ``native`` took them as they are.
     """
 
     dataset: str
@@ -43,6 +45,8 @@ class ImageSource:
     notes: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     novel: Callable[[], list[NovelView]] | None = None
+    layout: Layout | None = None
+    stored: tuple[int, int] | None = None
 
 
 def check_sizes(images: list[Path], expected: tuple[int, int] | None = None) -> tuple[int, int]:
@@ -85,7 +89,8 @@ class ImageSequence(FrameSequence):
     """Frames decoded from files on demand and resized to the camera's width. Reading is thread-safe."""
 
     def __init__(self, source: ImageSource, width: int | None = None) -> None:
-        check_sizes(source.images, (source.native.width, source.native.height))
+        self._stored = source.stored or (source.native.width, source.native.height)
+        check_sizes(source.images, self._stored)
         self.source = source
         self.name, self.dataset, self.times = source.name, source.dataset, source.times
         self.camera = scaled_camera(source.native, width)
@@ -94,14 +99,17 @@ class ImageSequence(FrameSequence):
     def image(self, index: int) -> NDArray[np.uint8]:
         path = self.source.images[index]
         image = read_image(path, frame=index)
-        expected = (self.source.native.width, self.source.native.height)
+        expected = self._stored
         if image.shape[1::-1] != expected:
             raise DatasetError(
                 f"the image is {image.shape[1]}x{image.shape[0]} pixels, the sequence is {expected[0]}x{expected[1]}",
                 path,
                 frame=index,
             )
-        return resize_image(image, self.camera.width, self.camera.height)
+        size, layout = (self.camera.width, self.camera.height), self.source.layout
+        if layout is None:
+            return resize_image(image, *size)
+        return layout.unpack(resize_image(image, *layout.picture_size(expected, size)), size)
 
     def frame_name(self, index: int) -> str:
         return self.source.images[index].name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from panobench.datasets.guess import guess
 from panobench.datasets.images import IMAGE_SUFFIXES, read_image, read_size
 from panobench.datasets.open import open_sequence
 from panobench.errors import DatasetError, UnknownNameError, UsageError
+from panobench.layouts.layout import Layout
+from panobench.layouts.reader import panorama_of_images
 from panobench.plugins import registry
 from panobench.specs import DatasetSpec
 
@@ -21,35 +24,43 @@ _SIMPLE = ("erp", "pal", "cubemap", "pinhole:DEGREES", "fisheye:DEGREES")
 
 
 class SingleImage(FrameSequence):
-    """One image at time 0."""
+    """One image at time 0; ``layout``: how a panorama lies in it, None for what ``camera`` took as it is."""
 
-    def __init__(self, path: Path, camera: Camera) -> None:
-        self.path, self.camera = path, camera
+    def __init__(self, path: Path, camera: Camera, layout: Layout | None = None) -> None:
+        self.path, self.camera, self._layout = path, camera, layout
         self.name, self.dataset = path.stem, "image"
         self.times = np.zeros(1)
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        return read_image(self.path)
+        image = read_image(self.path)
+        if self._layout is None:
+            return image
+        return self._layout.unpack(image, (self.camera.width, self.camera.height))
 
     def frame_name(self, index: int) -> str:
         return self.path.name
 
+    def remarks(self) -> list[str]:
+        return [self._layout.remark] if self._layout is not None and self._layout.remark else []
 
-def camera_of_image(option: str | None, size: tuple[int, int], path: Path) -> Camera:
+
+def panorama_in(path: Path, option: str | None) -> SingleImage:
+    """An image as a panorama: as it is, or in the layout that `--layout` says or that is recognised.
+
+    Raises DatasetError for one that is no panorama.
+    """
+    lens = f"--camera what took it ({', '.join(_SIMPLE)}, or a calibration file)"
+    return SingleImage(path, *panorama_of_images([path], read_size(path), option, lens))
+
+
+def camera_of_image(option: str, size: tuple[int, int], path: Path) -> Camera:
     """The camera that took an image of ``size`` (w, h): a calibration file, or one of the simple models.
 
-    None: erp for an image twice as wide as high. Raises UsageError, UnknownNameError or CalibrationError.
+    Raises UsageError, UnknownNameError or CalibrationError.
     """
     from panobench.cameras.calibration import builtin_calibration, calibration_file, read_calibration, require_size
 
     width, height = size
-    if option is None:
-        if width != 2 * height:
-            raise UsageError(
-                f"{path} is {width}x{height}, no panorama: say with --camera what took it "
-                f"({', '.join(_SIMPLE)}, or a calibration file)"
-            )
-        option = "erp"
     if calibration_file(option) is not None:
         camera = read_calibration(option)
         require_size(camera, width, height, option)
@@ -102,22 +113,29 @@ def open_anything(
     camera: str | None = None,
     dataset: str | None = None,
     sequence: str | None = None,
-    topic: str | None = None,
+    given: Given | None = None,
 ) -> FrameSequence:
     """An image seen by ``camera``, or a sequence, whose dataset is guessed unless it is named.
 
-    camera: a calibration file for images and bags whose own does not say what took them. topic: of a bag.
+    camera: a calibration file for images and bags whose own does not say what took them.
     """
+    given = given or Given()
     if not path.exists():
         raise DatasetError("no such file or folder", path)
     if dataset is None and path.is_file() and path.suffix.lower() in IMAGE_SUFFIXES:
+        if camera is None:
+            return panorama_in(path, given.layout)
+        if given.layout is not None:
+            raise UsageError("--layout and --camera exclude each other: both say what took the image")
         return SingleImage(path, camera_of_image(camera, read_size(path), path))
     name, root = dataset, path
     if name is None:
         found = guess(path)
         name, root = found.dataset, found.root
-    if camera is not None and "calibration" not in registry().get(DatasetSpec, name).load().takes:
-        raise UsageError(
-            f"--camera is for single images, folders of images and bags; a sequence of '{name}' has its own camera"
-        )
-    return open_sequence(name, sequence, root, given=Given(calibration=camera, topic=topic))
+    if camera is not None:
+        if "calibration" not in registry().get(DatasetSpec, name).load().takes:
+            raise UsageError(
+                f"--camera is for single images, folders of images and bags; a sequence of '{name}' has its own camera"
+            )
+        given = replace(given, calibration=camera)
+    return open_sequence(name, sequence, root, given=given)

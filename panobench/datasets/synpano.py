@@ -90,7 +90,9 @@ def panorama_camera(size: tuple[int, int], path: Path) -> Camera:
     width, height = size
     if width != 2 * height:
         raise DatasetError(
-            f"the image is {width}x{height} pixels; a full equirectangular panorama is twice as wide as high", path
+            f"the image is {width}x{height} pixels; a full equirectangular panorama is twice as wide as high "
+            "(--dataset images and video read others, see --layout)",
+            path,
         )
     return ErpCamera.from_dict({"model": "erp", "width": width, "height": height})
 

@@ -1,10 +1,11 @@
-"""360-degree videos in any format that FFmpeg decodes. No ground truth; times are the frames' presentation stamps.
+"""360-degree videos in any format that FFmpeg decodes, in any layout that ``panobench.layouts`` knows. No ground truth.
 
-``<name>.mask.png`` beside the video (white = valid) hides the operator or the tripod.
+Times are the frames' presentation stamps. ``NAME.mask.png`` beside the video (white = valid) hides the operator.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.calibration import inspect_calibration, split_choice
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.checksums import files_provenance
+from panobench.datasets.image_folder import for_size
 from panobench.datasets.image_sequence import scaled_camera
 from panobench.datasets.listing import by_stem, children
 from panobench.datasets.locate import choose_sequence
-from panobench.datasets.synpano import panorama_camera
-from panobench.errors import DatasetError
+from panobench.errors import DatasetError, UsageError
+from panobench.layouts.reader import PanoramaReader, mask_of_panorama
+from panobench.layouts.reader import panoramas as read_panoramas
 from panobench.masks.files import BesideMask, beside_video
+from panobench.video.pair import is_second_lens, open_recording
 from panobench.video.reader import VideoReader
+from panobench.video.recording import Recording
 
 VIDEO_SUFFIXES = (
     *(".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".360", ".insv", ".lrv", ".3gp", ".wmv", ".flv", ".ogv"),
@@ -29,34 +35,66 @@ VIDEO_SUFFIXES = (
 
 
 class VideoSequence(FrameSequence):
-    """A video seen by ``native`` (its camera at the stored size), decoded at ``width``."""
+    """A video as the pictures of one camera, decoded at ``width``: panoramas, or what a calibrated lens took."""
 
     def __init__(
-        self, reader: VideoReader, native: Camera, name: str, width: int | None, dataset: str, mask: BesideMask
+        self, pictures: PanoramaReader | LensReader, name: str, width: int | None, dataset: str, mask: BesideMask
     ) -> None:
-        self.reader, self.name, self.dataset, self.mask = reader, name, dataset, mask
-        self.native = native if mask.file is None else native.with_mask(mask.file.valid)
+        self.pictures, self.name, self.dataset, self.mask = pictures, name, dataset, mask
+        self.native = mask.on(pictures.camera())
         self.camera = scaled_camera(self.native, width)
-        self.times = reader.times
+        self.times = pictures.video.times
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        return self.reader.read(range(len(self))[index], (self.camera.width, self.camera.height))
+        return self.pictures.read(range(len(self))[index], (self.camera.width, self.camera.height))
 
     def remarks(self) -> list[str]:
-        return [*video_remarks(self.reader), *self.mask.remarks]
+        return [*video_remarks(self.pictures.video), *self.pictures.remarks(), *self.mask.remarks]
 
     def provenance(self) -> dict[str, Any]:
+        video = self.pictures.video
+        inputs = [*video.files(), *self.pictures.files(), *self.mask.files()]
         return {
             "dataset": self.dataset,
             "sequence": self.name,
-            "root": str(self.reader.path),
-            **video_provenance(self.reader),
+            "root": str(video.path),
+            **video_provenance(video),
+            **self.pictures.about(),
             **self.mask.about(),
-            **files_provenance([self.reader.path, *self.mask.files()]),
+            **files_provenance(inputs),
         }
 
 
-def video_provenance(reader: VideoReader) -> dict[str, Any]:
+class LensReader:
+    """Frames of ``video`` as a lens took them, by its calibration (`--calibration`)."""
+
+    def __init__(self, video: Recording, calibration: str) -> None:
+        path, _ = split_choice(calibration)
+        self.video, self._calibration = video, path
+        self._camera = for_size(inspect_calibration(calibration).camera, (video.width, video.height), path)
+
+    def read(self, index: int, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """As ``PanoramaReader.read``."""
+        return self.video.read(index, size)
+
+    def camera(self) -> Camera:
+        """The lens."""
+        return self._camera
+
+    def remarks(self) -> list[str]:
+        """None."""
+        return []
+
+    def about(self) -> dict[str, Any]:
+        """For a sequence's provenance."""
+        return {"calibration": str(self._calibration)}
+
+    def files(self) -> list[Path]:
+        """The files read besides the video."""
+        return [self._calibration]
+
+
+def video_provenance(reader: Recording) -> dict[str, Any]:
     """Size, rate and times of a video for run.json."""
     steps = np.diff(reader.times)
     return {
@@ -67,7 +105,7 @@ def video_provenance(reader: VideoReader) -> dict[str, Any]:
     }
 
 
-def video_remarks(reader: VideoReader) -> list[str]:
+def video_remarks(reader: Recording) -> list[str]:
     """What is not as it should be with a video, as far as its frames have been read."""
     found = []
     count = len(reader)
@@ -98,16 +136,18 @@ def video_files(root: Path) -> dict[str, Path]:
         return {root.stem: root}
     if not root.is_dir():
         raise DatasetError("no such file or folder", root)
-    found = by_stem(p for p in children(root) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file())
+    files = [p for p in children(root) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()]
+    found = by_stem(p for p in files if not is_second_lens(p))
     if not found:
         raise DatasetError(f"no video here ({', '.join(VIDEO_SUFFIXES)})", root)
     return found
 
 
 class Video(Dataset):
-    """Equirectangular videos: ``root`` is a file, or a folder of them."""
+    """360-degree videos: ``root`` is a file, or a folder of them. `--calibration`: videos of any lens."""
 
     name = "video"
+    takes = frozenset({"layout", "calibration"})
 
     def sequences(self) -> list[str]:
         if self.root is None:
@@ -118,7 +158,14 @@ class Video(Dataset):
         name = choose_sequence(self.name, sequence, self.sequences())
         assert self.root is not None
         path = video_files(self.root)[name]
-        reader = VideoReader(path)
-        camera = panorama_camera((reader.width, reader.height), path)
-        mask = beside_video(path, (reader.width, reader.height))
-        return VideoSequence(reader, camera, name, width, self.name, mask)
+        calibration, layout = self.given.calibration, self.given.layout
+        if calibration is not None:
+            if layout is not None:
+                raise UsageError("--layout and --calibration exclude each other: both say what took the pictures")
+            lens = LensReader(VideoReader(path), calibration)
+            mask = beside_video(path, (lens.video.width, lens.video.height))
+            return VideoSequence(lens, name, width, self.name, mask)
+        panoramas = read_panoramas(open_recording(path), layout)
+        shape = (panoramas.width, panoramas.height)
+        mask = mask_of_panorama(partial(beside_video, path), panoramas.layout, panoramas.stored, shape)
+        return VideoSequence(panoramas, name, width, self.name, mask)

@@ -46,6 +46,11 @@ class FrameIndex:
         """(N,) seconds after the first frame."""
         return np.asarray((self.stamps - self.stamps[0]) * self.unit_s, dtype=np.float64)
 
+    @property
+    def clock(self) -> NDArray[np.float64]:
+        """(N,) seconds on the file's clock, which its streams share."""
+        return np.asarray(self.stamps * self.unit_s, dtype=np.float64)
+
 
 def index_frames(path: Path, number: int = 0) -> FrameIndex:
     """The index of stream ``number`` (0 is the largest picture). Raises DatasetError if no frame can be decoded."""

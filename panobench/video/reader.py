@@ -50,6 +50,10 @@ class VideoReader:
     def __len__(self) -> int:
         return len(self.times)
 
+    def files(self) -> list[Path]:
+        """The files read."""
+        return [self.path]
+
     @property
     def rate(self) -> float:
         """Frames per second: one over the median interval (1 for a single frame)."""

@@ -70,7 +70,8 @@ def test_every_option_says_what_it_is() -> None:
     inputs = {o.name for o in run_options() if o.changes_input}
     images = {"camera", "dataset", "sequence", "root", "fov", "width", "every", "max_frames"}
     truth = {"groundtruth", "groundtruth_scale", "align_time"}
-    assert inputs == {*images, *truth, "rate", "calibration", "topic", "imu_topic", "groundtruth_topic"}
+    given = {"rate", "calibration", "topic", "imu_topic", "groundtruth_topic", "layout"}
+    assert inputs == {*images, *truth, *given}
 
 
 @dataclass(frozen=True)
