@@ -59,8 +59,9 @@ def _video_file(path: Path) -> Answer:
 
 
 def _video(path: Path, what: str) -> Answer:
-    """Footage of two lenses has their calibration beside it."""
-    both = path.with_name(f"{path.stem}.dual.yaml").is_file() or path.with_name("dual_fisheye.yaml").is_file()
+    """Footage of two lenses has their calibration beside it; GoPro's .360 has cubemaps."""
+    described = (path.with_name(f"{path.stem}.dual.yaml"), path.with_name("dual_fisheye.yaml"))
+    both = path.suffix.lower() != ".360" and any(p.is_file() for p in described)
     return ("insta360-dual-fisheye", f"{what} of two fisheye lenses") if both else ("video", what)
 
 

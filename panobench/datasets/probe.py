@@ -75,7 +75,10 @@ def probe(
 ) -> Probe:
     """Open what is there as a run would, without decoding more than it has to. Raises PanobenchError as a run would."""
     if not path.exists():
-        raise DatasetError("no such file or folder", path)
+        described = _description(path)  # calib.yaml#cam1
+        if described is None:
+            raise DatasetError("no such file or folder", path)
+        return described
     try:
         found = Guess(dataset, path, "as named") if dataset is not None else guess(path)
     except DatasetError:
@@ -91,7 +94,10 @@ def probe(
         chosen = opened.open(sequence)
     except PanobenchError as error:
         if not report.contents:
-            raise
+            described = _description(path)  # transforms.json of a lens alone
+            if described is None:
+                raise
+            return described
         report.problem = str(error)
     else:
         report.sequence = chosen.name
@@ -137,9 +143,11 @@ def _command(path: Path, dataset: str | None, sequence: str | None, given: Given
 
 def _description(path: Path) -> Probe | None:
     """A calibration or a trajectory; None for anything else."""
-    if path.is_dir() or path.suffix.lower() not in _DESCRIPTIONS:
+    from panobench.cameras.calibration import inspect_calibration, split_choice
+
+    file, _ = split_choice(path)
+    if not file.is_file() or file.suffix.lower() not in _DESCRIPTIONS:
         return None
-    from panobench.cameras.calibration import inspect_calibration
     from panobench.trajectories.reading import read_poses
 
     try:

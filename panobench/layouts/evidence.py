@@ -21,6 +21,8 @@ _PAIRS = 40_000
 _APART_DEG = 2.5
 #: Pixels darker than this, everywhere, are no picture: bars, the outside of circles.
 _DARK = 20
+#: Standard deviation of a part of one colour, as codecs leave it at the edges.
+_EVEN = 12.0
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,18 @@ def outside_circles(image: NDArray[np.uint8]) -> float:
     dark = value < _DARK
     inside = float(dark[:, radius < 0.4].mean())
     return 0.0 if inside > 0.5 else float(dark[:, radius > 0.53].mean())
+
+
+def vacant(image: NDArray[np.uint8], cells: Sequence[Sequence[object]]) -> bool:
+    """Whether the cells of a picture's grid that hold nothing (None) are of one colour."""
+    h, w = image.shape[:2]
+    for row, line in enumerate(cells):
+        for column, cell in enumerate(line):
+            rows = slice(row * h // len(cells), (row + 1) * h // len(cells))
+            part = image[rows, column * w // len(line) : (column + 1) * w // len(line)]
+            if cell is None and part.size and float(part.std(axis=(0, 1)).max()) > _EVEN:
+                return False
+    return True
 
 
 def bars(images: Sequence[NDArray[np.uint8]]) -> tuple[float, float, float, float]:

@@ -19,7 +19,7 @@ from panobench.layouts.cells import (
     Panorama,
     TwoFisheyes,
 )
-from panobench.layouts.evidence import alike, bars, outside_circles, tear
+from panobench.layouts.evidence import alike, bars, outside_circles, tear, vacant
 from panobench.layouts.layout import WHOLE, Layout
 from panobench.layouts.metadata import Said
 from panobench.layouts.names import LAYOUTS
@@ -132,7 +132,7 @@ def _two_to_one(pictures: Pictures, size: Size, torn: float | None, lens: str) -
         return _refused(LAYOUTS["vr180"][1](), what, lens)
     remark = (
         f"this may be no panorama: its left and right edges and its poles do not continue each other "
-        f"({torn:.0%} as unlike as any two places); what it is can be said with --layout"
+        f"({min(torn, 1.0):.0%} as unlike as any two places); what it is can be said with --layout"
     )
     return Recognised(replace(plain, remark=f"{plain.remark}; {remark}" if plain.remark else remark))
 
@@ -180,6 +180,7 @@ def _packed(pictures: Pictures, ratio: float) -> Recognised | None:
         name: torn
         for name, cube in cubes.items()
         if (abs(ratio / cube.proportions - 1) < _ROUNDED or (name == "eac" and 1.4 < ratio < 1.9))  # YouTube's is 16:9
+        and all(vacant(p, cube.cells) for p in pictures)
         and (torn := tornness(pictures, cube)) is not None
     }
     if not told:

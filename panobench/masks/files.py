@@ -96,7 +96,10 @@ def beside_video(recording: Path, size: tuple[int, int]) -> BesideMask:
         return _read(wanted, size)
     own = _plain(recording.stem)
     spellings = {f"{own}mask", f"mask{own}", f"{_plain(recording.name)}mask", f"{own}masks", f"{own}masked"}
+    others = [_plain(p.stem) for p in _siblings(recording) if p != recording]
+    others = [name for name in others if not own.startswith(name)]
     pictures = [p for p in pictures_in(recording.parent) if "mask" in p.stem.lower()]
+    pictures = [p for p in pictures if not _plain(p.stem).startswith(tuple(others))]
     near = [p for p in pictures if _plain(p.stem) in spellings]
     if not near and len(_siblings(recording)) == 1:
         near = [p for p in pictures if _plain(p.stem) in _BARE]

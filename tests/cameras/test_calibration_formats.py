@@ -158,6 +158,26 @@ def test_ros_camera_info(tmp_path: Path, model: str, d: np.ndarray, project: Any
         agree(read_calibration(path), project(K, d))
 
 
+def test_ros_camera_info_as_echoed(tmp_path: Path) -> None:
+    path = tmp_path / "info.yaml"
+    values = f"height: 480\nwidth: 640\ndistortion_model: plumb_bob\nD: {RADTAN.tolist()}\nK: {K.ravel().tolist()}\n"
+    path.write_text(f"header:\n  seq: 1\n  stamp:\n    secs: 1\n    nsecs: 2\n{values}---\n")
+    once = read_calibration(path)
+    agree(once, cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), K, RADTAN)[0])
+    path.write_text(path.read_text() * 3)
+    assert read_calibration(path).to_dict() == once.to_dict()
+
+
+def test_a_model_beside_a_camera_matrix_is_a_lens(tmp_path: Path) -> None:
+    path = tmp_path / "lens.json"
+    matrix = {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": FISHEYE_K.ravel().tolist()}
+    values = {"image_width": 800, "image_height": 800, "camera_matrix": matrix, "model": "fisheye"}
+    path.write_text(json.dumps({**values, "distortion_coefficients": FISHEYE.tolist()}, indent=1))
+    found = inspect_calibration(path)
+    assert found.format == "opencv"
+    agree(found.camera, cv2.fisheye.distortPoints(POINTS[:, None, :2] / POINTS[:, None, 2:], FISHEYE_K, FISHEYE))
+
+
 def test_euroc_sensor(tmp_path: Path) -> None:
     (tmp_path / "sensor.yaml").write_text(
         "sensor_type: camera\ncomment: left\nT_BS:\n  cols: 4\n  rows: 4\n  data: [0, -1, 0, -0.02, 1, 0, 0, -0.06,\n"

@@ -23,6 +23,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+def test_probing_a_camera_of_a_file_and_a_lens_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lens = "camera_model: pinhole\n  distortion_model: radtan\n  distortion_coeffs: [0, 0, 0, 0]\n"
+    sizes = ("[640, 480]", "[320, 240]")
+    chain = [f"cam{i}:\n  {lens}  intrinsics: [300, 300, 160, 120]\n  resolution: {sizes[i]}\n" for i in (0, 1)]
+    (tmp_path / "chain.yaml").write_text("".join(chain))
+    assert panobench(["probe", f"{tmp_path}/chain.yaml#cam1"]) == 0
+    assert "(kalibr): pinhole 320x240" in capsys.readouterr().out
+    values = {"camera_model": "OPENCV", "w": 640, "h": 480, "fl_x": 300, "fl_y": 300, "cx": 320, "cy": 240}
+    (tmp_path / "transforms.json").write_text(json.dumps({**values, "frames": []}))
+    assert panobench(["probe", str(tmp_path / "transforms.json")]) == 0
+    assert "(nerfstudio): pinhole 640x480" in capsys.readouterr().out
+
+
 @pytest.mark.usefixtures("fake_plugin")
 def test_a_root_alone_is_enough(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["run", "--method", "fake-still", "--root", str(folder), "--width", "128", "--check", "none"]

@@ -38,6 +38,7 @@ def touch(root: Path, *names: str) -> Path:
         (["cameras.txt", "images.txt", "points3D.txt"], "colmap", "a COLMAP project"),
         (["walk.mp4", "talk.mov", ".DS_Store"], "video", "2 videos"),
         (["walk.mp4", "dual_fisheye.yaml"], "insta360-dual-fisheye", "a video of two fisheye lenses"),
+        (["walk.360", "dual_fisheye.yaml"], "video", "a video"),
     ],
 )
 def test_folders(tmp_path: Path, files: list[str], dataset: str, what: str) -> None:

@@ -156,7 +156,7 @@ def test_a_list_that_does_not_fit(tmp_path: Path, text: str, message: str) -> No
 
 def test_the_camera_of_other_images(tmp_path: Path) -> None:
     write(tmp_path / "images", "1.png", "2.png", size=(64, 64))
-    with pytest.raises(DatasetError, match=r"64x64 pixels.*If a lens took it, say which: --calibration FILE"):
+    with pytest.raises(DatasetError, match="64x64.*--layout.*--calibration FILE which lens"):
         opened(tmp_path)
     (tmp_path / "lens.yaml").write_text(LENS)
     camera = opened(tmp_path, calibration=str(tmp_path / "lens.yaml")).camera
@@ -186,7 +186,9 @@ def test_a_mask_is_no_frame(tmp_path: Path) -> None:
 
 def test_options_that_a_dataset_has_no_use_for(tmp_path: Path) -> None:
     write(tmp_path / "images", "1.png")
-    with pytest.raises(UsageError, match="--topic: dataset 'images' has no use for it; it takes --calibration, --rate"):
+    with pytest.raises(
+        UsageError, match="--topic: dataset 'images' has no use for it; it takes --calibration, --layout, --rate"
+    ):
         opened(tmp_path, topic="/cam")
     with pytest.raises(UsageError, match="--rate: dataset 'synpano' has no use for it; it takes no such option"):
         open_sequence("synpano", None, tmp_path, None, Given(rate=3.0))

@@ -137,6 +137,50 @@ def test_panoramas_are_panoramas_and_other_pictures_are_not() -> None:
     assert tear(plain, Panorama()) is None
 
 
+def test_a_logo_at_the_foot_makes_no_other_layout_of_a_panorama() -> None:
+    picture = world().copy()
+    sectors = np.arange(SIZE[0]) // 64 % 2 == 0
+    picture[217:] = np.where(sectors[None, :, None], 240, 10)
+    torn = tornness([picture], Panorama())
+    assert torn is not None
+    assert torn > 0.3
+    seam = tornness([picture], Panorama(), within_deg=45.0)
+    assert seam is not None
+    assert seam < 0.1
+    found = recognise([picture], SIZE, Said())
+    assert (found.layout, found.refusal) == (Layout(), "")
+    framed = barred(picture, 512, 288)
+    assert "black bars are cut off" in recognise([framed], (512, 288), Said()).layout.remark
+
+
+@pytest.mark.parametrize("harm", ["dark", "noise", "blur", "plain sky", "black foot", "black caps", "tilted"])
+def test_a_genuine_panorama_stays_one(harm: str) -> None:
+    def harmed(turn: int) -> np.ndarray:
+        image = world(turn).astype(float)
+        if harm == "dark":
+            image *= 0.06
+        elif harm == "noise":
+            image += np.random.default_rng(turn).normal(0, 40, image.shape)
+        elif harm == "blur":
+            image = cv2.GaussianBlur(np.concatenate([image] * 3, axis=1), (0, 0), 9)[:, 512:1024]
+        elif harm == "plain sky":
+            image[:140] = 235
+        elif harm == "black foot":
+            image[170:] = 0
+        elif harm == "black caps":
+            image[:30] = image[-30:] = 0
+        else:
+            return Layout(yaw_pitch_roll_deg=(20, 70, 40)).unpack(world(turn), SIZE)
+        return np.clip(image, 0, 255).astype(np.uint8)
+
+    pictures = [harmed(turn) for turn in (0, 50, 200)]
+    for size in (SIZE, (512, 258), (512, 288)):
+        found = recognise([resized(p, *size) for p in pictures], size, Said())
+        assert found.refusal == ""
+        assert found.layout.name == "erp"
+        assert "may be no panorama" not in found.layout.remark
+
+
 def test_names() -> None:
     for name in LAYOUTS:
         assert layout_named(name).name == name

@@ -102,6 +102,11 @@ def test_masks_that_hide_nothing_or_nearly_all_are_doubted() -> None:
         understand(np.zeros((4, 4), np.float32))
 
 
+def fog(index: int, size: tuple[int, int]) -> np.ndarray:
+    """Nothing that tells whether it is a panorama."""
+    return np.full((size[1], size[0], 3), 90, np.uint8)
+
+
 def picture(path: Path) -> Path:
     assert cv2.imwrite(str(path), SEEN * np.uint8(255))
     return path
@@ -115,7 +120,7 @@ def picture(path: Path) -> Path:
     ],
 )
 def test_nearly_right_names_are_used_and_said(name: str, tmp_path: Path) -> None:
-    clip(tmp_path / "walk.mp4", [0, 0.1], size=SIZE)
+    clip(tmp_path / "walk.mp4", [0, 0.1], size=SIZE, frame=fog)
     picture(tmp_path / name)
     sequence = Video(tmp_path / "walk.mp4").open()
     assert (sequence.camera.valid_mask() == SEEN).mean() > 0.98
@@ -124,7 +129,7 @@ def test_nearly_right_names_are_used_and_said(name: str, tmp_path: Path) -> None
 
 
 def test_the_right_name_counts_before_others_and_several_others_are_refused(tmp_path: Path) -> None:
-    clip(tmp_path / "walk.mp4", [0, 0.1], size=SIZE)
+    clip(tmp_path / "walk.mp4", [0, 0.1], size=SIZE, frame=fog)
     picture(tmp_path / "walk_mask.png")
     picture(tmp_path / "walk-mask.png")
     with pytest.raises(DatasetError, match=r"several pictures may be the mask \(walk-mask.png, walk_mask.png\)"):
@@ -137,11 +142,14 @@ def test_the_right_name_counts_before_others_and_several_others_are_refused(tmp_
 
 def test_pictures_that_are_masks_of_something_else_are_named(tmp_path: Path) -> None:
     for name in ("walk.mp4", "run.mp4"):
-        clip(tmp_path / name, [0, 0.1], size=SIZE)
+        clip(tmp_path / name, [0, 0.1], size=SIZE, frame=fog)
     picture(tmp_path / "mask.png")  # of which?
     sequence = Video(tmp_path / "walk.mp4").open()
     assert sequence.camera.mask is None
     assert sequence.remarks() == ["mask.png is not used: a mask is called walk.mask.png, or given by --mask"]
+    (tmp_path / "mask.png").rename(tmp_path / "run_painted-mask.png")  # the other's
+    assert Video(tmp_path / "walk.mp4").open().remarks() == []
+    assert "run_painted-mask.png is not used" in Video(tmp_path / "run.mp4").open().remarks()[0]
 
 
 def test_folders_of_images(tmp_path: Path) -> None:

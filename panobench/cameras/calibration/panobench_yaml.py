@@ -25,11 +25,16 @@ from panobench.reading import inside, number_array
 
 NAME = "panobench"
 _BLOCK_KEY = re.compile(r"""^(["']?)model\1\s*:""", re.MULTILINE)
+_MATRIX_KEY = re.compile(r"""^\s*(["']?)camera_?matrix\1\s*:""", re.MULTILINE | re.IGNORECASE)
 _EXTRA = ("mask", "annulus", "source", "body_T_cam", "time_offset_s")
 
 
 def recognise(path: Path, text: str) -> bool:
-    """A key `model` at the top. A flow mapping is parsed to tell; CalibrationError says where it is not YAML."""
+    """A key `model` at the top, and no camera matrix, which would be OpenCV's. A flow mapping is parsed to tell;
+    CalibrationError says where it is not YAML.
+    """
+    if _MATRIX_KEY.search(text):
+        return False
     if _BLOCK_KEY.search(text):
         return True
     lines = (line.strip() for line in text.splitlines())

@@ -116,13 +116,13 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-nd-matrix", _construct_table)
 
 
 def parse_yaml(text: str, path: Path) -> Table:
-    """The file's top-level table. OpenCV's `%YAML:1.0` header and matrices are understood."""
+    """The top-level table of the file's first document. OpenCV's `%YAML:1.0` header and matrices are understood."""
     if text.startswith("%YAML:"):
         text = "#" + text  # the colon is not YAML; a comment keeps the line numbers
     try:
         loader = _Loader(text)
         loader.file = path
-        data = loader.get_single_data()
+        data = loader.get_data() if loader.check_data() else None  # rostopic echo ends each message with ---
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         problem = getattr(error, "problem", None) or str(error).splitlines()[0]
