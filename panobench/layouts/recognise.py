@@ -72,7 +72,7 @@ def recognise(pictures: Pictures, size: Size, said: Said, lens: str = CALIBRATIO
     best = _packed(pictures, ratio)
     if best is not None:
         return best
-    if torn is not None and torn < _SPHERE and 1.6 < ratio < 2.4:
+    if torn is not None and torn < _SPHERE and 1.6 < ratio < 2.4 and _closed(pictures):
         remark = f"{width}x{height} pixels are taken for a full panorama, stretched to 2:1 (as --layout erp does)"
         return Recognised(Layout(remark=remark))
     what = f"the pictures are {width}x{height}: a full equirectangular panorama is twice as wide as high"
@@ -150,9 +150,10 @@ def _framed(pictures: Pictures, size: Size) -> Recognised | None:
         return None
     left, top, right, bottom = part
     width, height = (right - left) * size[0], (bottom - top) * size[1]
-    if abs(width / height / 2 - 1) > 2 * _ROUNDED:
+    centred = abs(left - (1 - right)) < _ROUNDED and abs(top - (1 - bottom)) < _ROUNDED
+    if abs(width / height / 2 - 1) > 2 * _ROUNDED or not centred:
         return None
-    if right - left > 1 - _ROUNDED and abs(top - (1 - bottom)) < _ROUNDED:  # bars above and below, as players make them
+    if right - left > 1 - _ROUNDED:  # bars above and below, as players make them
         share = size[0] / 2 / size[1]
         left, top, right, bottom = part = (0.0, (1 - share) / 2, 1.0, (1 + share) / 2)
         width, height = float(size[0]), size[0] / 2

@@ -156,7 +156,7 @@ def test_a_list_that_does_not_fit(tmp_path: Path, text: str, message: str) -> No
 
 def test_the_camera_of_other_images(tmp_path: Path) -> None:
     write(tmp_path / "images", "1.png", "2.png", size=(64, 64))
-    with pytest.raises(DatasetError, match="64x64.*--layout.*--calibration FILE which lens"):
+    with pytest.raises(DatasetError, match=r"64x64.*--layout.*--calibration FILE which lens"):
         opened(tmp_path)
     (tmp_path / "lens.yaml").write_text(LENS)
     camera = opened(tmp_path, calibration=str(tmp_path / "lens.yaml")).camera
