@@ -67,6 +67,7 @@ class RelocalisationOptions(Options):
     usual_frames: int = option(20, "frames in that median", above=0)
     agree_tracked: float = option(0.4, "share of blocks that must agree with the map for a camera that was tracked")
     agree_lost: float = option(0.5, "the same for a camera that was lost")
+    agree_entry: float = option(0.65, "share of finer blocks that must agree for a camera looked for in a saved map")
     agree_surely: float = option(0.85, "the same at which the search ends at once")
     likeness_min: float = option(0.25, "correlation of thumbnails from which a keyframe is a start of the search")
     starts: int = option(8, "starts tried for a frame while the camera has just been lost")

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.errors import UsageError
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
-from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.continuation import add_places
 from panobench.methods.panogs.exposure import ExposureMatcher
@@ -48,8 +47,9 @@ class LocaliseMethod(OnlineMethod):
         places = Places(camera)
         add_places(places, self.saved.gaussians, [k.T_wc for k in self.keyframes], renderer)
         # What has changed since stays changed, so every frame is compared; a search never becomes a short one.
-        options = replace(c.relocalisation, agree_tracked=c.relocalisation.agree_lost, unusual=0.0, patience=1 << 30)
+        options = replace(c.relocalisation, unusual=0.0, patience=1 << 30)
         self.relocaliser = Relocaliser(self.tracker, places, options)
+        self.relocaliser.strict = True
         self.exposure = ExposureMatcher(self.tracker.weights, ViewWidth.of(camera), c.exposure)
         self.tracker.reset(self.keyframes[0].T_wc)
         self.relocaliser.interrupted()
@@ -70,7 +70,7 @@ class LocaliseMethod(OnlineMethod):
         self.numbers[frame.index] = {
             "tracking_s": time.perf_counter() - began,
             "loss": trusted.cost,
-            "agreement": agreement(self.tracker.pyramid, trusted.render, self.tracker.weights),
+            "agreement": self.relocaliser.agreement(trusted.render),
         }
         return trusted.T_wc
 

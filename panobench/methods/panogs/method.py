@@ -119,6 +119,7 @@ class PanogsMethod(OnlineMethod):
             self._note(frame, lost=1.0, tracking_s=time.perf_counter() - began)
             return
         self._enter(Phase.TRACKING)
+        self.relocaliser.strict = False
         frame = self._at_map_exposure(frame, trusted)
         scene_depth = self.mapper.local_depth(trusted.render)
         self._record(frame, trusted, scene_depth)
@@ -264,6 +265,7 @@ class PanogsMethod(OnlineMethod):
         add_places(self.places, self.mapper.map.gaussians, [v.T_wc for v in keyframes], self.mapper.renderer)
         self.tracker.reset(keyframes[-1].T_wc)
         self.relocaliser.interrupted()
+        self.relocaliser.strict = True
         self._enter(Phase.LOST)
 
     # -- the end -------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import invert_pose, renormalise
-from panobench.methods.panogs.agreement import agreement
+from panobench.methods.panogs.agreement import COARSE, FINE, agreement
 from panobench.methods.panogs.config import RelocalisationOptions
 from panobench.methods.panogs.place_recognition import Places, yawed
 from panobench.methods.panogs.tracker import Tracked, Tracker
@@ -31,10 +31,14 @@ Pose = NDArray[np.float64]
 
 
 class Relocaliser:
-    """Judges tracked frames. places: one thumbnail for each keyframe, in their order."""
+    """Judges tracked frames. places: one thumbnail for each keyframe, in their order.
+
+    strict: whether a pose must show itself in fine detail, as it must where the camera enters a saved map.
+    """
 
     def __init__(self, tracker: Tracker, places: Places, options: RelocalisationOptions) -> None:
-        self.tracker, self.places, self.options = tracker, places, options
+        self.tracker, self.places, self.options, self.strict = tracker, places, options, False
+        self.fine = FINE.for_camera(tracker.camera)
         # Exposure may have changed since a place was mapped.
         self.align_options = replace(tracker.align_options, exposure=True)
         self.usual: deque[float] = deque(maxlen=options.usual_frames)
@@ -65,13 +69,18 @@ class Relocaliser:
 
     def _checked(self, tracked: Tracked, gaussians: GaussianMap, needed: float) -> Tracked | None:
         """``tracked`` if enough of the frame agrees with the map there; the render may be of a pose a bit before."""
-        frame, weights = self.tracker.pyramid, self.tracker.weights
         if not tracked.good:
             return None
-        if agreement(frame, tracked.render, weights) >= needed:
+        if self.strict:
+            needed = self.options.agree_entry
+        if self.agreement(tracked.render) >= needed:
             return tracked
         render = self._render(gaussians, tracked.T_wc)
-        return replace(tracked, render=render) if agreement(frame, render, weights) >= needed else None
+        return replace(tracked, render=render) if self.agreement(render) >= needed else None
+
+    def agreement(self, render: Render) -> float:
+        """Of the newest frame with a render, in the detail that is asked for."""
+        return agreement(self.tracker.pyramid, render, self.tracker.weights, self.fine if self.strict else COARSE)
 
     def world_moved(self, motion: WorldMotion) -> None:
         """As ``WorldFollower.world_moved``: the last good pose goes along."""
@@ -85,10 +94,10 @@ class Relocaliser:
 
     def _search(self, tracked: Tracked, gaussians: GaussianMap, keyframes: Sequence[View]) -> Tracked | None:
         frame = self.tracker.pyramid
-        best, most = None, self.options.agree_lost
+        best, most = None, self.options.agree_entry if self.strict else self.options.agree_lost
         for start in self._starts(frame[-1], keyframes):
             found = self.descend(frame, gaussians, start)
-            share = agreement(frame, found.render, self.tracker.weights) if found.good else 0.0
+            share = self.agreement(found.render) if found.good else 0.0
             if share >= most:
                 best, most = found, share
             if share >= self.options.agree_surely:
