@@ -1,10 +1,11 @@
-"""When each pixel of a rolling-shutter camera is read."""
+"""When each pixel of a rolling-shutter camera is read, and how the camera turned meanwhile."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from panobench.cameras.base import Array, Camera
+from panobench.geometry import so3_log
 
 #: The circle of a panoramic camera's lens reaches this far from its axis, radians: its rows are read over that angle.
 LENS_REACH = np.deg2rad(95.0)
@@ -23,3 +24,31 @@ def row_times(camera: Camera, rays: Array) -> Array:
     across = np.hypot(rays[..., 0], rays[..., 1])
     theta = np.arctan2(across, np.abs(rays[..., 2]))
     return np.asarray(0.5 * theta / LENS_REACH * rays[..., 1] / np.maximum(across, 1e-12))
+
+
+def rates_along(times: Array, T_wc: Array) -> Array:
+    """Angular velocities (N, 3) at ``times`` (N,) along poses (N, 4, 4), rad/s in the camera's axes.
+
+    At a pose, the mean of the rates before and after it, each weighted by the other's time; at the ends they are
+    extrapolated.
+    """
+    if len(T_wc) < 2:
+        return np.zeros((len(T_wc), 3))
+    steps = np.swapaxes(T_wc[:-1, :3, :3], 1, 2) @ T_wc[1:, :3, :3]
+    dt = np.maximum(np.diff(times), 1e-6)[:, None]
+    between = so3_log(steps) / dt
+    if len(between) == 1:
+        return np.repeat(between, 2, axis=0)
+    slopes = (between[1:] - between[:-1]) / (0.5 * (dt[1:] + dt[:-1]))
+    middle = between[:-1] + 0.5 * dt[:-1] * slopes
+    first, last = between[:1] - 0.5 * dt[:1] * slopes[:1], between[-1:] + 0.5 * dt[-1:] * slopes[-1:]
+    return np.concatenate([first, middle, last])
+
+
+def rotated(rays: Array, seconds: Array, rate: Array) -> Array:
+    """Rays (..., 3), each rotated by ``rate`` (3,) or (..., 3), rad/s, for its own time (...) (Rodrigues' formula)."""
+    speed = np.linalg.norm(rate, axis=-1)
+    axis = rate / np.maximum(speed, 1e-12)[..., None]
+    angle = (speed * seconds)[..., None]
+    along = (rays * axis).sum(axis=-1, keepdims=True) * axis
+    return np.asarray(rays * np.cos(angle) + np.cross(axis, rays) * np.sin(angle) + along * (1 - np.cos(angle)))

@@ -38,3 +38,6 @@ class SparseConfig(Options):
     )
     refit: bool = option(True, "solve every frame's pose again at the end, against the refined points")
     final_ba: int = option(10, "iterations of bundle adjustment over all keyframes at the end; 0: none")
+    readout_ms: float | None = option(
+        0.0, "time from the first row of a lens to its last; 0: global shutter; none: estimated", unit="ms"
+    )

@@ -35,6 +35,7 @@ from panobench.methods.sparse.mapping import (
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
 from panobench.methods.sparse.relocalise import relocalise
 from panobench.methods.sparse.rig_faces import RigFaces, build_rig_faces
+from panobench.methods.sparse.rolling_shutter import Readout, RowBearings, estimate_readout
 from panobench.methods.sparse.rotation import RotationFinder
 from panobench.methods.sparse.scale import METRIC_SIGMA, adjust_scale, is_due, scale_sigma
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame, update_candidates
@@ -46,6 +47,8 @@ Array = NDArray[np.float64]
 YOUNG_MAP = 6
 #: Least number of keyframes between two loop closures.
 LOOP_INTERVAL = 8
+#: Rounds of turning bearings by the trajectory's angular velocities and adjusting it.
+SHUTTER_ROUNDS = 2
 #: Face sizes are multiples of 2^(MAX_LEVELS - 1).
 MAX_LEVELS = 5
 
@@ -79,7 +82,7 @@ class SparseMethod(OnlineMethod):
         super().__init__(config or SparseConfig())
 
     def start(self, camera: Camera, context: MethodContext) -> None:
-        self.context = context
+        self.context, self.camera = context, camera
         levels = self.config.levels or MAX_LEVELS
         rig = context.rig if self.config.rig else None
         self.rig_faces = None if rig is None else build_rig_faces(rig, self.config.face_pixels, levels)
@@ -290,15 +293,14 @@ class SparseMethod(OnlineMethod):
             extra["reprojection_px"] = adjust_window(
                 m, self.config, self.face_set.focal, everything, self.config.final_ba
             )
+        if self.rig_faces is None:
+            extra["readout_ms"] = round(1e3 * self._correct_shutter(session), 2)
         metric = m.lenses.several and self._judge_scale(m, extra)
         records = sorted(session.records, key=lambda r: r.index)
-        poses = []
-        for record in records:
-            T = session.pose_of(record)
-            poses.append(invert_pose(self._refit(m, record, T) if self.config.refit else T))
+        poses = self._poses(session)
         extra["points"] = int((m.state == ACTIVE).sum())
         return Estimate(
-            Trajectory(np.array([r.time for r in records]), np.stack(poses)),
+            Trajectory(np.array([r.time for r in records]), poses),
             keyframes=[k.frame for k in m.keyframes],
             metric=metric,
             frames=self.numbers,
@@ -316,6 +318,34 @@ class SparseMethod(OnlineMethod):
             return True
         self.context.warn("the rig turned too little for its lenses' distance to tell the scale: it is not metric")
         return False
+
+    def _poses(self, session: Session) -> Array:
+        """T_wc (N, 4, 4) of the frames in the order of their indices."""
+        poses = []
+        for record in sorted(session.records, key=lambda r: r.index):
+            T = session.pose_of(record)
+            poses.append(invert_pose(self._refit(session.map, record, T) if self.config.refit else T))
+        return np.stack(poses)
+
+    def _correct_shutter(self, session: Session) -> float:
+        """Readout in seconds; if it is not 0, bearings are turned to their frames' middle rows and adjusted again."""
+        m, config, focal = session.map, self.config, self.face_set.focal
+        given = config.readout_ms
+        if given == 0 or len(session.records) < 3:
+            return 0.0
+        rows = RowBearings(self.camera, m, session.records)
+        rows.follow(self._poses(session))
+        readout = estimate_readout(rows, m, config, focal) if given is None else Readout(1e-3 * given)
+        if given is None and readout.best_s:
+            self.context.log(
+                f"readout {1e3 * readout.best_s:.1f} ms explains {readout.gain:.1%} more: "
+                + (f"a rolling shutter of {1e3 * readout.seconds:.1f} ms" if readout.seconds else "a global shutter")
+            )
+        for _ in range(SHUTTER_ROUNDS if readout.seconds else 0):
+            rows.turn(readout.seconds)
+            adjust_window(m, config, focal, [k.number for k in m.keyframes], max(config.final_ba, 1))
+            rows.follow(self._poses(session))
+        return readout.seconds
 
     def known_poses(self) -> dict[int, Array]:
         """Those of the map with most frames, which ``finish`` answers with."""

@@ -18,17 +18,23 @@ CANDIDATE, ACTIVE, DEAD = 0, 1, 2
 
 @dataclass
 class Keyframe:
-    """A keyframe: its pose T_cw (4, 4), the points it saw (n,) and their unit bearings (n, 3)."""
+    """A keyframe: its pose T_cw (4, 4), the points it saw (n,) and their unit bearings (n, 3).
+
+    measured (n, 3): the bearings before they were turned to the frame's middle row.
+    """
 
     number: int
     frame: int
     T_cw: Array
     points: NDArray[np.int64]
     bearings: Array
+    measured: Array | None = None
 
     def drop(self, lost: NDArray[np.bool_]) -> None:
         """Remove the observations where ``lost`` (n,) is True."""
         self.points, self.bearings = self.points[~lost], self.bearings[~lost]
+        if self.measured is not None:
+            self.measured = self.measured[~lost]
 
 
 @dataclass
