@@ -41,7 +41,7 @@ class Detail:
 
 #: Is the camera still where it is believed to be? A blurred or dark frame should not fail this.
 COARSE = Detail(128, 0.6)
-#: Is it there at all? All the way round. Repetitive buildings look alike from afar: on one walk past prison cells, wrong
+#: Is it there at all? All the way round. Repetitive buildings look alike from afar: on a walk past prison cells, wrong
 #: places had up to 94% of the coarse blocks right, and 56% of these; right places had at least 76%.
 FINE = Detail(256, 0.75)
 
