@@ -22,6 +22,7 @@ FORBIDDEN = {
     "trajectories": {"photometric", "splat", "depth", "methods", "metrics"} | ABOVE_METHODS,
     "photometric": {"splat", "datasets", "depth", "methods", "metrics"} | ABOVE_METHODS,
     "inertial": {"kernels", "datasets", "photometric", "splat", "depth", "methods", "metrics"} | ABOVE_METHODS,
+    "gpu": {"splat", "photometric", "datasets", "depth", "methods", "metrics"} | ABOVE_METHODS,
     "splat": {"photometric", "datasets", "depth", "methods", "metrics"} | ABOVE_METHODS,
     "depth": {"splat", "methods", "metrics"} | ABOVE_METHODS,
     "methods": {"metrics"} | ABOVE_METHODS,

@@ -123,6 +123,7 @@ class TimingRecord(JsonRecord):
     evaluation_s: float | None = None
     peak_rss_bytes: float | None = None
     cpu_s: float | None = None
+    peak_gpu_bytes: float | None = optional()
 
 
 @dataclass
@@ -272,7 +273,7 @@ class RunRecord(JsonRecord):
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
     metric: the method says that its scale is metres; gravity_aligned: that its world's z axis points up.
     notes: metric -> why it is None or odd. keyframes: frame indices.
-    mask: what hid part of the view, if anything did.
+    mask: what hid part of the view, if anything did. gpu: the name of the GPU that maps were computed on, if one was.
     groundtruth: whether a frame has any; groundtruth_scaled: in metres.
     truth, verdict: None for runs stored before there were such.
     remarks: what the dataset says about its data. extra: what the method reports.
@@ -295,6 +296,7 @@ class RunRecord(JsonRecord):
     keyframes: list[int] = field(default_factory=list)
     depth: DepthRecord = field(default_factory=DepthRecord)
     mask: MaskRecord | None = optional()
+    gpu: str | None = optional()
     groundtruth: bool = False
     groundtruth_scaled: bool = True
     truth: TruthRecord | None = optional()

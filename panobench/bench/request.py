@@ -19,6 +19,7 @@ from panobench.errors import UnknownNameError, UsageError
 
 T = TypeVar("T")
 DEFAULT_DATASET, DEFAULT_SEQUENCE = "rooms", "room1"
+DEVICES = ("auto", "cpu", "cuda")
 
 
 @dataclass(frozen=True)
@@ -232,6 +233,12 @@ class RunRequest:
         changes_input=True,
         label="clocks aligned",
     )
+    device: str = run_option(
+        "auto",
+        "Where maps are computed: auto, cpu or cuda; auto: on the GPU if there is one and the method uses it.",
+        changes_input=False,
+        label="on {}",
+    )
     settings: Mapping[str, Any] = run_option(
         {}, "One option of the method; repeatable.", changes_input=False, label="{}", suite_key=True, flag="--set"
     )
@@ -240,6 +247,8 @@ class RunRequest:
         self.given()  # its options are checked
         for option in run_options(type(self)):
             option.check(getattr(self, option.name))
+        if self.device not in DEVICES:
+            raise UnknownNameError("--device", self.device, DEVICES)
         if self.holdout == 1:
             raise UsageError("--holdout 1: every frame would be held out and nothing mapped; use 2 or more")
         if self.dataset == DEFAULT_DATASET and self.sequence is None:

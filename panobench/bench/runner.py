@@ -134,10 +134,13 @@ def _run(
     log(f"{scores.status.value}: {scores.message}" if scores.message else scores.status.value)
     timing = timing_record(tracked, scores.evaluation_s)
     timing.peak_rss_bytes, timing.cpu_s = meter.peak_rss_bytes, cpu_s
+    if setup.device is not None:
+        timing.peak_gpu_bytes = setup.device.peak_memory_bytes()
     timing.prepare_s, timing.late_compile_s = kernels.seconds + tracked.warm_up_s, watch.seconds
     record = run_record(request, setup, tracked, holdout, scores, timing, origin, offset)
     record.cell = cell
     record.mask = mask
+    record.gpu = setup.device.name if setup.device is not None else None
     if mask is not None and mask.source == "file" and mask.message:
         record.remarks.append(mask.message)
     if watch.note():
@@ -183,7 +186,12 @@ def _track(
             saved_map=setup.saved_map,
             log=log,
             warn=warn,
+            device=setup.device,
         )
+        if setup.device_note:
+            warn(setup.device_note)
+        if setup.device is not None:
+            log(f"maps are computed on the GPU: {setup.device.name}")
         observer.started(len(sequence), truth if sequence.groundtruth_scaled else None)
         observer.stage("tracking")
         method = setup.method

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from panobench.bench.config import method_config
 from panobench.bench.masking import MaskChoice, choose_mask
@@ -22,6 +22,9 @@ from panobench.maps.saved import SavedMap
 from panobench.methods.base import BatchMethod, OnlineMethod
 from panobench.plugins import registry
 from panobench.specs import CameraSpec, DatasetSpec, DepthSpec, MethodSpec
+
+if TYPE_CHECKING:
+    from panobench.gpu.device import Device
 
 DEFAULT_DEPTH = "bootstrap"
 
@@ -48,7 +51,7 @@ class DepthChoice:
 
 @dataclass
 class RunSetup:
-    """Everything a run needs, ready to start."""
+    """Everything a run needs, ready to start. device: what maps are computed on, None for the CPU; device_note: why."""
 
     spec: MethodSpec
     origin: str
@@ -59,6 +62,8 @@ class RunSetup:
     mask: MaskChoice = field(default_factory=MaskChoice)
     kernels: Prepared = field(default_factory=Prepared)
     saved_map: SavedMap | None = None
+    device: Device | None = None
+    device_note: str = ""
 
 
 def set_up_run(request: RunRequest, progress: Progress = lambda done, total: None) -> RunSetup:
@@ -77,6 +82,7 @@ def set_up_run(request: RunRequest, progress: Progress = lambda done, total: Non
     method = cls(config) if spec.config is not None else cls()
     if not isinstance(method, (OnlineMethod, BatchMethod)):
         raise UnsupportedError(f"method '{spec.name}' is neither an OnlineMethod nor a BatchMethod")
+    device, device_note = choose_device(request.device, method)
     kind = None if calibration_file(request.camera) else request.camera.partition(":")[0]
     kernels = compile_ahead(entry_points(spec.name, kind, request.dataset), progress)
     sequence = open_input(request, spec)
@@ -86,7 +92,7 @@ def set_up_run(request: RunRequest, progress: Progress = lambda done, total: Non
     if "poses" in spec.needs and sequence.groundtruth is None and not own_poses:
         raise UnsupportedError(f"method '{spec.name}' needs given poses; sequence '{sequence.name}' has none")
     origin = registry().entries[MethodSpec.kind][spec.name].origin
-    return RunSetup(spec, origin, method, config, sequence, depth, mask, kernels, saved_map)
+    return RunSetup(spec, origin, method, config, sequence, depth, mask, kernels, saved_map, device, device_note)
 
 
 def open_map(request: RunRequest, spec: MethodSpec) -> SavedMap | None:
@@ -108,6 +114,20 @@ def open_map(request: RunRequest, spec: MethodSpec) -> SavedMap | None:
     if request.save_map:
         check_writable(Path(request.save_map).expanduser())
     return read_map(Path(request.continue_map).expanduser()) if request.continue_map else None
+
+
+def choose_device(choice: str, method: OnlineMethod | BatchMethod) -> tuple[Device | None, str]:
+    """The device for ``--device``, None for the CPU, and what the user should know of the choice ("": nothing).
+
+    Raises UnavailableError where "cuda" cannot run, and UnsupportedError where the method has no use for it.
+    """
+    from panobench.splat.backend import open_device
+
+    if not method.uses_device:
+        if choice == "cuda":
+            raise UnsupportedError(f"--device cuda: this method computes on the CPU alone ({type(method).__name__})")
+        return None, ""
+    return open_device(choice)
 
 
 def method_spec(request: RunRequest) -> MethodSpec:

@@ -148,7 +148,8 @@ def _blame(error: Exception, result: Tracked, where: str) -> None:
     """Record the method's failure, or raise what the user can mend (data, options, software, a full disk)."""
     if is_disk_full(error) or (isinstance(error, PanobenchError) and not isinstance(error, MethodError)):
         raise error
-    if isinstance(error, MemoryError):
+    # torch's error of a full GPU; torch may not be loaded here
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         result.status = RunStatus.OUT_OF_MEMORY
     else:
         result.status = RunStatus(getattr(error, "run_status", RunStatus.CRASHED.value))

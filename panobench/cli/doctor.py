@@ -1,4 +1,4 @@
-"""`panobench doctor` says whether a method, or anything else that is registered, can run here, and what is missing.
+"""`panobench doctor` says whether a method, anything else registered, or a GPU can be used here, and what is missing.
 
 Exit codes: 0 it can run here, 1 it cannot, 2 no such name.
 """
@@ -22,17 +22,22 @@ if TYPE_CHECKING:
 app = typer.Typer()
 #: Kinds in the order in which a name is looked up.
 KINDS = ("method", "depth", "mask", "dataset", "metric", "camera", "study")
+#: The name that stands for the GPU.
+GPU = "gpu"
 
 
 @app.command()
 def doctor(
-    name: Annotated[str | None, typer.Argument(help="A method, or any other name of `panobench list`.")] = None,
+    name: Annotated[str | None, typer.Argument(help="A method, any other name of `panobench list`, or gpu.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Say what a method needs and what of it is missing here; without a name, one line per method."""
     known = registry()
     if name is None:
         _overview(known, as_json)
+        return
+    if name == GPU:
+        _gpu(as_json)
         return
     entry = find_entry(known, name)
     findings = examine(entry.spec)
@@ -42,15 +47,35 @@ def doctor(
         print(json.dumps({**answer, "findings": [asdict(f) for f in findings]}, indent=2))
     else:
         print(f"{entry.spec.kind} '{name}' ({entry.origin}): {entry.spec.summary}")
-        for f in findings:
-            print(f"  {'ok' if f.ok else 'MISSING':8}{f.what}: {f.detail}")
-            if f.fix and not f.ok:
-                print(f"  {'':8}-> {f.fix}")
+        _print(findings)
         if isinstance(entry.spec, MethodSpec) and not ok and entry.spec.install:
             print(f"  to install: {entry.spec.install}")
         print("it can run here" if ok else "it cannot run here")
     if not ok:
         raise typer.Exit(1)
+
+
+def _gpu(as_json: bool) -> None:
+    """Say what a GPU needs, and what of it is missing here."""
+    from panobench.gpu.checks import findings as examined
+
+    findings = list(examined())
+    ok = all(f.ok for f in findings)
+    if as_json:
+        print(json.dumps({"kind": GPU, "name": GPU, "ok": ok, "findings": [asdict(f) for f in findings]}, indent=2))
+    else:
+        print(f"{GPU}: what `panobench run --device cuda` needs")
+        _print(findings)
+        print("it can be used here" if ok else "it cannot be used here: runs use the CPU")
+    if not ok:
+        raise typer.Exit(1)
+
+
+def _print(findings: list[Finding]) -> None:
+    for f in findings:
+        print(f"  {'ok' if f.ok else 'MISSING':8}{f.what}: {f.detail}")
+        if f.fix and not f.ok:
+            print(f"  {'':8}-> {f.fix}")
 
 
 def find_entry(known: Registry, name: str) -> Registered:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from panobench.cameras.rig import Rig
     from panobench.datasets.base import FrameSequence
     from panobench.depth.base import DepthEstimator
+    from panobench.gpu.device import Device
     from panobench.maps.saved import SavedMap
 
 
@@ -39,6 +40,8 @@ class MethodContext:
     saved_map:  the map to start from, only for methods whose spec says ``maps``; poses are then in its frame.
     log:        one line for the run's log.txt.
     warn:       one line that the user should see at once; it is logged too (contract 1.1).
+    device:     the GPU that maps are to be computed on, as ``splat.Renderer`` takes it, for methods that say that
+                they use one; None: the CPU (contract 1.1).
     """
 
     seed: int = 0
@@ -50,6 +53,7 @@ class MethodContext:
     saved_map: SavedMap | None = None
     log: Callable[[str], None] = _silent
     warn: Callable[[str], None] = _silent
+    device: Device | None = None
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,12 @@ class LiveMap:
 
 
 class OnlineMethod(ABC):
-    """Takes frames one by one. The constructor gets the config object named in its spec (or nothing)."""
+    """Takes frames one by one. The constructor gets the config object named in its spec (or nothing).
+
+    uses_device: whether it computes on ``MethodContext.device``, where it is given one (contract 1.1).
+    """
+
+    uses_device = False
 
     def __init__(self, config: Any = None) -> None:
         self.config = config
@@ -111,7 +120,12 @@ class OnlineMethod(ABC):
 
 
 class BatchMethod(ABC):
-    """Takes a whole sequence at once (and sees neither its ground truth nor its depth)."""
+    """Takes a whole sequence at once (and sees neither its ground truth nor its depth).
+
+    uses_device: as ``OnlineMethod.uses_device``.
+    """
+
+    uses_device = False
 
     def __init__(self, config: Any = None) -> None:
         self.config = config

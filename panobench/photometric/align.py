@@ -9,6 +9,7 @@ Levenberg-Marquardt's, and a step is kept only if it lowers the mean robust cost
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,13 @@ from panobench.geometry import renormalise, se3_exp
 from panobench.photometric.normal_equations import UNKNOWNS, UNSEEN, NormalEquations, normal_equations
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import DEFAULT, AlignOptions, Reference, ReferenceLevel
+from panobench.photometric.warp import ERP
+
+if TYPE_CHECKING:
+    from panobench.gpu.device import Device
 
 #: Something is moving where more than this share of the view has residuals above ``AlignOptions.cut_moving``.
-_MOVING_SHARE = 0.05
+MOVING_SHARE = 0.05
 
 
 @dataclass
@@ -65,13 +70,21 @@ def align(
     coarsest: int | None = None,
     gain: float = 0.0,
     offset: float = 0.0,
+    device: Device | None = None,
 ) -> Alignment:
     """Align a frame to ``reference``.
 
     frame: its luma pyramid (H, W) float32 in 0..1, level 0 full size. T_fr (4, 4): pose to start from, frame from
     reference camera. Levels are used from ``coarsest`` (None: the smallest that both have) down to ``finest``. gain,
-    offset: of the frame, to start from, or to keep without ``options.exposure``.
+    offset: of the frame, to start from, or to keep without ``options.exposure``. device: what computes it, None for the
+    CPU, which also does what a device cannot: other cameras than panoramas, and ``options.exposure``.
     """
+    if device is not None and reference.code == ERP and not options.exposure and min(options.iterations) > 0:
+        from panobench.photometric.align_device import align_on_device
+
+        return align_on_device(
+            device, reference, frame, T_fr, options, finest=finest, coarsest=coarsest, gain=gain, offset=offset
+        )
     x = np.zeros(UNKNOWNS if options.exposure else 6)
     free = slice(3 if options.rotation_only else 0, len(x))
     top = min(len(reference.levels), len(frame)) - 1
@@ -94,7 +107,7 @@ def align(
         huber = max(options.huber * before.sigma, options.huber_min)
         cut = options.cut * huber if level_index < options.cut_levels else 10.0
         moving = max(options.cut_moving * huber, options.cut_moving_min)
-        if before.above(moving) > _MOVING_SHARE:
+        if before.above(moving) > MOVING_SHARE:
             cut = min(cut, moving)
         now = evaluate(state, huber, cut)
         for _ in range(limit):

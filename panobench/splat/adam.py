@@ -25,6 +25,7 @@ from panobench.kernels.jit import INLINE, JIT, PARALLEL
 from panobench.splat.algebra import rotate, rows_of, unrotate
 from panobench.splat.chain import CHAIN_CHANNELS, GRADIENTS, G, gradient_block, load_touched
 from panobench.splat.gaussians import F32, GaussianMap
+from panobench.splat.loss import photometric_loss
 from panobench.splat.render import Render
 
 #: Steps after which the bias correction of either moment is taken to be 1.
@@ -254,6 +255,21 @@ class LearningRates:
         return np.concatenate([np.full(n, rate, np.float32) for rate, n in groups])
 
 
+@dataclass(frozen=True)
+class Target:
+    """What a render should look like. image (H, W, 3), weights (H, W), gain, offset: as in ``photometric_loss``.
+
+    knee: its ``huber``. opaque: pixels count only where the render's opacity exceeds it; None: everywhere.
+    """
+
+    image: NDArray[np.uint8]
+    weights: F32
+    gain: float = 0.0
+    offset: float = 0.0
+    knee: float = 0.0
+    opaque: float | None = None
+
+
 class GaussianAdam:
     """Adam's state for a map of N Gaussians; it grows and shrinks with the map.
 
@@ -304,6 +320,21 @@ class GaussianAdam:
             *self._arguments(moments.gaussians, rates, isotropy, scale_bounds),
         )  # fmt: skip
         return pose.sum(axis=0)
+
+    def photometric_step(
+        self,
+        render: Render,
+        target: Target,
+        rates: LearningRates,
+        isotropy: float = 0.0,
+        scale_bounds: tuple[float, float] = (1e-5, 1e3),
+    ) -> tuple[float, NDArray[np.float64]]:
+        """``backward_step`` along the photometric loss of ``render``; returns the loss and dL/dtau (6,)."""
+        weights = target.weights if target.opaque is None else target.weights * (render.opacity > target.opaque)
+        loss, gradient, _ = photometric_loss(
+            render.planes, target.image, weights, target.gain, target.offset, target.knee
+        )
+        return loss, self.backward_step(render, gradient, rates, isotropy, scale_bounds)
 
     def _arguments(
         self, g: GaussianMap, rates: LearningRates, isotropy: float, scale_bounds: tuple[float, float]

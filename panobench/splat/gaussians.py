@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +56,30 @@ class GaussianMap:
         """A copy of the Gaussians that ``index`` picks."""
         return GaussianMap(*(np.ascontiguousarray(a[index]) for a in self.arrays()))
 
+    def kept(self, which: NDArray[np.bool_]) -> GaussianMap:
+        """A map of the same kind with the Gaussians that ``which`` (N,) marks."""
+        return self.select(which)
+
     def concat(self, other: GaussianMap) -> GaussianMap:
         """A new map with the Gaussians of both, these first."""
         return GaussianMap(*(np.concatenate([a, b]) for a, b in zip(self.arrays(), other.arrays())))
 
     def copy(self) -> GaussianMap:
         return GaussianMap(*(a.copy() for a in self.arrays()))
+
+    def on_host(self) -> GaussianMap:
+        """The map with its arrays on the host: itself, unless it stays on a device (``cuda.gaussians``)."""
+        return self
+
+    def update(self, **arrays: NDArray[Any]) -> None:
+        """Write whole arrays, by name, in place."""
+        for name, array in arrays.items():
+            getattr(self, name)[:] = array
+
+    def assign(self, which: NDArray[np.bool_], new: GaussianMap) -> None:
+        """Write the parameters of ``new`` (M Gaussians), in place, to the M Gaussians that ``which`` (N,) marks."""
+        for mine, theirs in zip(self.arrays(), new.arrays()):
+            mine[which] = theirs
 
     def transformed(self, transform: Sim3) -> GaussianMap:
         """A new map, moved by a similarity."""

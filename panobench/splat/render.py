@@ -3,13 +3,14 @@
     render = Renderer(camera).forward(gaussians, T_wc)
     gradients = render.backward(d_colour)
 
-This is the only door to the kernels. A GPU backend replaces ``project``, ``bin_tiles``, ``blend_forward``,
-``blend_backward`` and ``parameter_gradients`` behind the same two classes.
+This is the only door to the kernels. A renderer that is given a device draws there, by ``splat.cuda``, with the same
+arguments and results.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import get_num_threads
@@ -19,8 +20,12 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.kernels.columns import FOOTPRINT_COLUMNS, MOMENT, PARAMETER, PARAMETERS, span
 from panobench.splat import binning, blend, chain, project
+from panobench.splat.backend import renderer_on
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.view import CONIC_ERP, Projection, View, make_view
+
+if TYPE_CHECKING:
+    from panobench.gpu.device import Device
 
 _NO_2D = np.zeros((0, 0), np.float32)
 
@@ -131,6 +136,11 @@ class Render:
     _tape: _Tape | None = field(repr=False)
 
     @property
+    def drawn(self) -> int:
+        """How many Gaussians are drawn."""
+        return len(self.order)
+
+    @property
     def colour(self) -> F32:
         """(H, W, 3) view."""
         return self.planes.transpose(1, 2, 0)
@@ -193,7 +203,8 @@ class Renderer:
     projection: "sphere" (exact on the tangent plane, for every camera), "erp" or "pinhole" (first order).
     low_pass: variance added to every footprint, pixels^2. near: Gaussians closer than this are not drawn, in the map's
     unit. stop: transmittance at which a tile is finished. threads: None for Numba's setting; images do not depend on
-    their number, gradients only through rounding.
+    their number, gradients only through rounding. device: what draws, None for the CPU. Raises UnsupportedError where
+    it cannot draw the camera.
     """
 
     def __init__(
@@ -204,11 +215,13 @@ class Renderer:
         near: float = 0.01,
         stop: float = 1e-4,
         threads: int | None = None,
+        device: Device | None = None,
     ) -> None:
         view = make_view(camera, projection)
         wrap = float(camera.width) if view.projection == CONIC_ERP else 0.0
-        self.camera = camera
+        self.camera, self.device = camera, device
         self._settings = _Settings(view, low_pass, near, stop, threads or get_num_threads(), wrap)
+        self._on_device = renderer_on(device, view, low_pass, near, stop) if device else None
 
     @property
     def view(self) -> View:
@@ -232,7 +245,11 @@ class Renderer:
         compare Zhang et al., "RaDe-GS", 2024), instead of being that of its centre, which is biased to the near side
         where footprints overlap on an oblique wall. Such depth has no backward pass.
         """
-        s, v = self._settings, self.view
+        if self._on_device is not None:
+            return self._on_device.forward(
+                gaussians, T_wc, count_touched=count_touched, sloped=sloped, sum_weights=sum_weights, culled=culled
+            )
+        s, v, gaussians = self._settings, self.view, gaussians.on_host()
         T_cw = invert_pose(T_wc)
         R_cw, t_cw = np.ascontiguousarray(T_cw[:3, :3]), np.ascontiguousarray(T_cw[:3, 3])
         n = len(gaussians)

@@ -13,7 +13,7 @@ from panobench import MethodSpec, OnlineMethod
 from panobench.cli import doctor
 from panobench.cli.main import run as panobench
 from panobench.external.adapter import ExternalMethod, Job
-from panobench.external.findings import missing_libraries
+from panobench.external.findings import Finding, missing_libraries
 from panobench.methods.base import MethodContext
 from panobench.plugins import Registered, registry
 
@@ -130,3 +130,17 @@ def test_scripts_and_missing_files_have_no_missing_libraries(tmp_path: Path) -> 
     (tmp_path / "script").write_text("#!/bin/sh\n")
     assert missing_libraries(tmp_path / "script") == []
     assert missing_libraries(tmp_path / "none") == []
+
+
+def test_a_gpu_that_can_be_used_or_not(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from panobench.gpu import checks
+
+    found = [Finding(True, "NVIDIA driver", "CUDA 13.0, 1 GPU")]
+    monkeypatch.setattr(checks, "findings", lambda: iter(found))
+    assert panobench(["doctor", "gpu"]) == 0
+    assert "it can be used here" in capsys.readouterr().out
+    found.append(Finding(False, "NVRTC", "is missing", "install it"))
+    assert panobench(["doctor", "gpu"]) == 1
+    assert "MISSING NVRTC: is missing\n          -> install it\n" in capsys.readouterr().out
+    assert panobench(["doctor", "gpu", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["findings"][1]["what"] == "NVRTC"

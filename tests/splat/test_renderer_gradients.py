@@ -10,6 +10,7 @@ import torch
 from splat_scenes import CAMERAS, CASES, NAMES, POSE, Reference, gaussian_map, random_scene, reference, render_oracle
 
 from panobench.cameras.base import Camera
+from panobench.gpu.device import Device
 from panobench.splat.gaussians import GaussianMap
 from panobench.splat.render import Gradients, Renderer
 from panobench.splat.view import Projection
@@ -32,20 +33,30 @@ def weigh(out: tuple[torch.Tensor, ...], weights: tuple[np.ndarray, ...]) -> tor
 
 
 def kernel_gradients(
-    g: GaussianMap, camera: Camera, projection: Projection, weights: tuple[np.ndarray, ...], T_wc: np.ndarray = POSE
+    g: GaussianMap,
+    camera: Camera,
+    projection: Projection,
+    weights: tuple[np.ndarray, ...],
+    T_wc: np.ndarray = POSE,
+    device: Device | None = None,
 ) -> Gradients:
-    render = Renderer(camera, projection, stop=0.0).forward(g, T_wc)
+    render = Renderer(camera, projection, stop=0.0, device=device).forward(g, T_wc)
     return render.backward(*(w.astype(np.float32) for w in weights))
 
 
 def check(
-    g: GaussianMap, camera: Camera, projection: Projection, T_wc: np.ndarray = POSE, rtol: float = 1e-4
+    g: GaussianMap,
+    camera: Camera,
+    projection: Projection,
+    T_wc: np.ndarray = POSE,
+    rtol: float = 1e-4,
+    device: Device | None = None,
 ) -> tuple[Gradients, Reference]:
     want = reference(g, camera, T_wc, projection)
     assert want.steady.mean() > 0.9
     weights = loss_weights(want)
     weigh(want.out, weights).backward()
-    got = kernel_gradients(g, camera, projection, weights, T_wc)
+    got = kernel_gradients(g, camera, projection, weights, T_wc, device)
     for name in NAMES:
         a, b = getattr(got, name), want.gradients()[name]
         assert np.abs(b).max() > 0

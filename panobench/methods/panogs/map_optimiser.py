@@ -14,8 +14,8 @@ from panobench.methods.splatting.culling import VisibilityCulling
 from panobench.methods.splatting.trainable_map import TrainableMap
 from panobench.methods.splatting.transients import Transients
 from panobench.methods.splatting.views import View
-from panobench.splat.adam import LearningRates
-from panobench.splat.loss import photometric_loss, pixel_weights
+from panobench.splat.adam import LearningRates, Target
+from panobench.splat.loss import pixel_weights
 from panobench.splat.render import Render, Renderer
 
 #: Least standard deviation of a Gaussian, in median depths.
@@ -159,17 +159,14 @@ class MapOptimiser:
         )
         self.update_culling(view, render)
         # Where there are no Gaussians yet, the loss would make the neighbours spread.
-        weights = self.weights * (render.opacity > 0.5) if self.config.fixed_lag.sweep else self.weights
-        if view.visible is not None:
-            weights = weights * view.visible
+        opaque = 0.5 if self.config.fixed_lag.sweep else None
+        weights = self.weights if view.visible is None else self.weights * view.visible
         if self.transients.active:
             weights = weights * ~self.transients.contradicted(view.image, render)
-        loss, gradient, _ = photometric_loss(
-            render.planes, view.image, weights, view.gain, view.offset, self.config.rendering.knee
-        )
-        isotropy = o.isotropy / max(3 * len(render.order), 1)
+        target = Target(view.image, weights, view.gain, view.offset, self.config.rendering.knee, opaque)
+        isotropy = o.isotropy / max(3 * render.drawn, 1)
         sizes = (SMALLEST * z, self.config.density.largest * z)
-        pose = self.map.adam.backward_step(render, gradient, rates or self.rates(), isotropy, sizes)
+        loss, pose = self.map.adam.photometric_step(render, target, rates or self.rates(), isotropy, sizes)
         keyframes = self.trajectory.keyframes
         if refine_pose and o.refine_poses and keyframes and view is not keyframes[0]:
             pose_rates = (self.config.rates.pose_translation * z, self.config.rates.pose_rotation)

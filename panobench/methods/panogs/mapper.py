@@ -41,7 +41,7 @@ class Mapper:
     ) -> None:
         self.camera, self.renderer, self.config, self.trajectory = camera, renderer, config, trajectory
         self.rng = np.random.default_rng(seed)
-        self.map = TrainableMap(config.rates.beta1, config.rates.beta2)
+        self.map = TrainableMap(config.rates.beta1, config.rates.beta2, renderer.device)
         self.optimiser = MapOptimiser(camera, renderer, config, self.map, trajectory, self.rng)
         self.weights, self.width = self.optimiser.weights, ViewWidth.of(camera)
         self.split_count = 0

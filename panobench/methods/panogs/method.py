@@ -33,6 +33,7 @@ from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
+from panobench.splat.backend import device_for
 from panobench.splat.render import Renderer
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
@@ -55,6 +56,7 @@ class PanogsMethod(OnlineMethod):
     """One frame is: track, judge, record, map, next job. See ``_process``."""
 
     config: PanogsConfig
+    uses_device = True
 
     def __init__(self, config: PanogsConfig | None = None) -> None:
         super().__init__(config or PanogsConfig())
@@ -62,8 +64,11 @@ class PanogsMethod(OnlineMethod):
     def start(self, camera: Camera, context: MethodContext) -> None:
         c, width = self.config, ViewWidth.of(camera)
         self.camera, self.context, self.phase = camera, context, Phase.WAITING
-        renderer = Renderer(camera, self._projection, c.rendering.low_pass)
-        tracking_renderer = Renderer(camera, self._projection, c.rendering.low_pass, stop=1e-3)
+        self.device = device_for(context.device, camera, self._projection)
+        if context.device is not None and self.device is None:
+            context.warn("the GPU draws panoramas on the sphere alone: this run uses the CPU")
+        renderer = Renderer(camera, self._projection, c.rendering.low_pass, device=self.device)
+        tracking_renderer = Renderer(camera, self._projection, c.rendering.low_pass, stop=1e-3, device=self.device)
 
         self.trajectory = AnchoredTrajectory()
         self.tracker = Tracker(camera, tracking_renderer, c)
@@ -287,7 +292,7 @@ class PanogsMethod(OnlineMethod):
             Trajectory(times, poses),
             keyframes=sorted(v.index for v in self.trajectory.keyframes if v.index >= 0),
             metric=self._metric,
-            map=gaussians if len(gaussians) else None,
+            map=gaussians.on_host() if len(gaussians) else None,
             frames=self.numbers,
             depth=self.first_depth,
             extra={
@@ -338,5 +343,6 @@ class PanogsMethod(OnlineMethod):
         if not len(gaussians):
             return None
         projection = self._projection if self._projection == camera.kind else "sphere"
-        renderer = Renderer(camera, projection, self.config.rendering.low_pass)
+        device = device_for(self.device, camera, projection)
+        renderer = Renderer(camera, projection, self.config.rendering.low_pass, device=device)
         return np.ascontiguousarray(np.clip(renderer.forward(gaussians, T_wc).colour, 0.0, 1.0))

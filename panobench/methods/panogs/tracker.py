@@ -128,7 +128,7 @@ class Tracker:
         T, iterations = T_wc, 0
         if self.reference is not None:
             start = invert_pose(T) @ self.T_reference
-            a = align(self.reference, frame, start, self.coarse_options, finest=1)
+            a = align(self.reference, frame, start, self.coarse_options, finest=1, device=self.renderer.device)
             T = renormalise(self.T_reference @ invert_pose(a.T_fr))
             iterations += a.iterations
         for k in range(max(self.options.renders, 1)):
@@ -136,7 +136,8 @@ class Tracker:
             weigh = self.config.mapping.culling_px > 0
             render = self.renderer.forward(gaussians, T, count_touched=True, sum_weights=weigh, sloped=True)
             self.reference, self.T_reference = self.make_reference(render, len(frame), image), T
-            a = align(self.reference, frame, np.eye(4), self.align_options, coarsest=1 if known else None)
+            coarsest, device = 1 if known else None, self.renderer.device
+            a = align(self.reference, frame, np.eye(4), self.align_options, coarsest=coarsest, device=device)
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations
             if self.moved_px(a.T_fr, render) < self.options.render_again_px:

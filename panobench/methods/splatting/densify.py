@@ -76,6 +76,6 @@ def fade(trainable: TrainableMap, opacity: float, which: NDArray[np.bool_] | Non
     chosen = trainable.gaussians.opacity_logits > low
     if which is not None:
         chosen &= which
-    trainable.gaussians.opacity_logits[chosen] = low
+    trainable.gaussians.update(opacity_logits=np.where(chosen, low, trainable.gaussians.opacity_logits))
     trainable.adam.m[chosen, 10] = 0
     trainable.adam.v[chosen, 10] = 0

@@ -5,12 +5,17 @@ Rows come and go together; what must outlive that refers to Gaussians by id.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import Sim3, matrix_from_quaternion, quaternion_from_matrix
-from panobench.splat.adam import GaussianAdam
+from panobench.splat.backend import empty_map, new_adam
 from panobench.splat.gaussians import F32, GaussianMap
+
+if TYPE_CHECKING:
+    from panobench.gpu.device import Device
 
 
 class TrainableMap:
@@ -22,9 +27,10 @@ class TrainableMap:
     2 / width, and the number of views in the sum (see ``densify``).
     """
 
-    def __init__(self, beta1: float = 0.9, beta2: float = 0.999) -> None:
-        self.gaussians = GaussianMap.empty()
-        self.adam = GaussianAdam(0, beta1, beta2)
+    def __init__(self, beta1: float = 0.9, beta2: float = 0.999, device: Device | None = None) -> None:
+        """device: where parameters and optimiser stay; None for the CPU."""
+        self.gaussians = empty_map(device)
+        self.adam = new_adam(0, beta1, beta2, device)
         self.anchors, self.ids = np.zeros(0, np.int32), np.zeros(0, np.int32)
         self.pull: F32 = np.zeros(0, np.float32)
         self.pulls = np.zeros(0, np.int32)
@@ -48,7 +54,7 @@ class TrainableMap:
 
     def keep(self, which: NDArray[np.bool_]) -> None:
         """Drop all Gaussians but these (N,)."""
-        self.gaussians = self.gaussians.select(which)
+        self.gaussians = self.gaussians.kept(which)
         self.adam.select(which)
         self.anchors, self.ids = self.anchors[which], self.ids[which]
         self.pull, self.pulls = self.pull[which], self.pulls[which]
@@ -66,13 +72,12 @@ class TrainableMap:
         R = np.stack([m.R for m in motions])[self.anchors]
         t = np.stack([m.t for m in motions])[self.anchors]
         g = self.gaussians
-        g.means[:] = scale[:, None] * np.einsum("nij,nj->ni", R, g.means) + t
-        g.log_scales += np.log(scale)[:, None].astype(np.float32)
-        axes = R @ matrix_from_quaternion(g.quats)
-        g.quats[:] = quaternion_from_matrix(axes)
+        g.update(
+            means=scale[:, None] * np.einsum("nij,nj->ni", R, g.means) + t,
+            log_scales=g.log_scales + np.log(scale)[:, None].astype(np.float32),
+            quats=quaternion_from_matrix(R @ matrix_from_quaternion(g.quats)),
+        )
 
     def move(self, which: NDArray[np.bool_], motion: Sim3) -> None:
         """Move these Gaussians (N,), in place, by one motion (old world to new world)."""
-        moved = self.gaussians.select(which).transformed(motion)
-        for mine, new in zip(self.gaussians.arrays(), moved.arrays()):
-            mine[which] = new
+        self.gaussians.assign(which, self.gaussians.select(which).transformed(motion))
