@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
+import subprocess
 import tempfile
 from pathlib import Path
 
@@ -37,6 +39,55 @@ def cuda() -> CudaDevice:
 
 
 DEVICES = {"emulated": emulated, "cuda": cuda}
+
+
+class LaunchedByDriver(CudaDevice):
+    """``CudaDevice`` with another driver: its library launches kernels on the emulator.
+
+    It shows that kernels get their arguments as CUDA's driver takes them; all the rest of a GPU is missing.
+    """
+
+    def __init__(self) -> None:
+        Device.__init__(self)
+        self.torch_device, self.name = torch.device("cpu"), "driver"
+        self._load(ctypes.CDLL(str(_driver())), b"\x7fELF")
+
+
+_DRIVER = """
+#include <string.h>
+extern "C" int emulate(const char* name, unsigned blocks, unsigned threads, void** arguments);
+extern "C" int cuModuleLoadData(void** module, const void* code) {
+    *module = (void*)0x123456789;
+    return memcmp(code, "\\x7f" "ELF", 4) ? 200 : 0;
+}
+extern "C" int cuModuleGetFunction(void** function, void* module, const char* name) {
+    if (module != (void*)0x123456789) return 201;
+    *function = strdup(name);
+    return strcmp(name, "unknown") ? 0 : 500;
+}
+extern "C" int cuLaunchKernel(void* function, unsigned x, unsigned y, unsigned z, unsigned threads, unsigned ty,
+                              unsigned tz, unsigned shared, void* stream, void** arguments, void** extra) {
+    if (y != 1 || z != 1 || ty != 1 || tz != 1 || shared || extra || stream != (void*)0x987654321) return 1;
+    if (!strcmp((const char*)function, "too_large")) return 2;
+    return emulate((const char*)function, x, threads, arguments);
+}
+extern "C" int cuGetErrorString(int status, const char** text) {
+    *text = "named symbol not found";
+    return 0;
+}
+"""
+
+
+@functools.cache
+def _driver() -> Path:
+    emulated()
+    folder = _library().parent
+    (folder / "driver.cpp").write_text(_DRIVER)
+    library = folder / "driver.so"
+    subprocess.run(
+        ["g++", "-shared", "-fPIC", str(folder / "driver.cpp"), str(_library()), "-o", str(library)], check=True
+    )
+    return library
 
 
 def open_device(name: str) -> Device | None:

@@ -113,8 +113,12 @@ def _source(name: str) -> str | None:
     spec = _spec(name)
     if spec is None or not spec.origin or not spec.origin.endswith(".py"):
         return None
+    path = Path(spec.origin)
     try:
-        return Path(spec.origin).read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+        # code in another language, which a package compiles
+        others = sorted(path.parent.glob("kernels/*.cu")) if path.name == "__init__.py" else []
+        return text + "".join(other.read_text(encoding="utf-8") for other in others)
     except (OSError, UnicodeDecodeError):
         return None
 

@@ -65,11 +65,16 @@ class Device(ABC):
 
     @abstractmethod
     def launch(self, kernel: str, blocks: int, threads: int, *arguments: Tensor | float | int | None) -> None:
-        """Launch ``kernel`` in a row of blocks; None is a null pointer. Raises DeviceError if it cannot be launched."""
+        """Launch ``kernel`` in a row of blocks; None is a null pointer.
+
+        Raises MemoryError when the device is full, RuntimeError or DeviceError when the kernel cannot be launched.
+        """
 
     def upload(self, array: NDArray[Any], dtype: torch.dtype | None = None) -> Tensor:
         """A copy of an array on the device."""
-        tensor = torch.from_numpy(np.ascontiguousarray(array))
+        # torch warns of arrays that cannot be written, although it only reads this one
+        host = np.ascontiguousarray(array) if array.flags.writeable else np.array(array, order="C")
+        tensor = torch.from_numpy(host)
         return tensor.to(self.torch_device, dtype=dtype, copy=True)
 
     def uploaded(self, array: NDArray[Any]) -> Tensor:
@@ -113,7 +118,7 @@ def packed(arguments: tuple[Tensor | float | int | None, ...]) -> tuple[list[Any
             values.append(ctypes.c_void_p(None))
         elif isinstance(a, np.float64):  # a float to Python, too
             values.append(ctypes.c_double(a))
-        elif isinstance(a, int):
+        elif isinstance(a, (int, np.integer)):
             values.append(ctypes.c_int(a))
         else:
             values.append(ctypes.c_float(a))
@@ -129,9 +134,12 @@ class CudaDevice(Device):
         self.name = torch.cuda.get_device_name(self.torch_device)
         torch.zeros(1, device=self.torch_device)  # makes the context that the module is loaded into
         major, minor = torch.cuda.get_device_capability(self.torch_device)
-        self._driver = ctypes.CDLL("libcuda.so.1")
-        self._module, self._functions = ctypes.c_void_p(), dict[str, ctypes.c_void_p]()
-        code = nvrtc.compiled(f"sm_{major}{minor}")
+        self._load(ctypes.CDLL("libcuda.so.1"), nvrtc.compiled(f"sm_{major}{minor}"))
+
+    def _load(self, driver: ctypes.CDLL, code: bytes) -> None:
+        """Load compiled kernels by CUDA's driver."""
+        self._driver, self._module = driver, ctypes.c_void_p()
+        self._functions: dict[str, ctypes.c_void_p] = {}
         self._check(self._driver.cuModuleLoadData(ctypes.byref(self._module), code), "loading the kernels")
 
     def launch(self, kernel: str, blocks: int, threads: int, *arguments: Tensor | float | int | None) -> None:
@@ -141,20 +149,22 @@ class CudaDevice(Device):
         if function is None:
             function = ctypes.c_void_p()
             found = self._driver.cuModuleGetFunction(ctypes.byref(function), self._module, kernel.encode())
-            self._check(found, kernel)
+            self._check(found, kernel, RuntimeError)
             self._functions[kernel] = function
         _values, table = packed(arguments)
         stream = ctypes.c_void_p(torch.cuda.current_stream(self.torch_device).cuda_stream)
-        self._check(self._driver.cuLaunchKernel(function, blocks, 1, 1, threads, 1, 1, 0, stream, table, None), kernel)
+        status = self._driver.cuLaunchKernel(function, blocks, 1, 1, threads, 1, 1, 0, stream, table, None)
+        self._check(status, kernel, RuntimeError)
 
     def peak_memory_bytes(self) -> int:
         return int(torch.cuda.max_memory_reserved(self.torch_device))
 
-    def _check(self, status: int, what: str) -> None:
+    def _check(self, status: int, what: str, kind: type[Exception] = DeviceError) -> None:
+        """Raise MemoryError for a full GPU, and for other errors ``kind``: in mid-run nobody can mend them."""
         if status == _OUT_OF_MEMORY:
             raise MemoryError(f"the GPU ({self.name}) has too little memory for {what}")
         if status:
             text = ctypes.c_char_p()
             self._driver.cuGetErrorString(status, ctypes.byref(text))
             reason = text.value.decode() if text.value else "unknown error"
-            raise DeviceError(f"the GPU ({self.name}) failed at {what}: {reason} (CUDA error {status})")
+            raise kind(f"the GPU ({self.name}) failed at {what}: {reason} (CUDA error {status})")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
 import torch
-from cuda_devices import emulated
+from cuda_devices import LaunchedByDriver, emulated
 from splat_scenes import POSE, random_scene
 
 from panobench.cameras.erp import ErpCamera
@@ -40,21 +42,34 @@ def everything(device: Device) -> list[np.ndarray]:
     found = aligned(device)
     alignment = np.array([*found.T_fr.ravel(), found.cost, found.sigma, found.overlap])
     out = [render.planes, render.depth, render.touched, render.weights, gradients.packed, gradients.pose]
-    return [*out, alignment, found.hessian]  # type: ignore[list-item]
+    return [*out, alignment, found.hessian, residuals(device)]  # type: ignore[list-item]
+
+
+START = se3_exp([0.02, -0.01, 0.03, 0.01, 0.02, -0.01])
 
 
 def aligned(device: Device) -> Alignment:
     """A few iterations of alignment, at no end that other rounding could move."""
+    luma, arrays = scattered()
+    reference = Reference([ReferenceLevel(*arrays, np.array([64, 32, 0, 0, 0, 0], np.float32))], ERP)
+    options = AlignOptions(iterations=(4,), step_m=0.0, step_rad=0.0)
+    return align(reference, [luma], START, options, device=device)
+
+
+def residuals(device: Device) -> np.ndarray:
+    """The histogram of the residuals at the start of the alignment."""
+    luma, arrays = scattered()
+    state, sums = np.zeros(65), device.zeros(32 + 1024, dtype=torch.float64)
+    state[12:24], state[25], state[26] = [*START[:3, :3].ravel(), *START[:3, 3]], 1.0, 10.0
+    uploaded = [device.upload(a) for a in (*arrays, luma)]
+    device.launch("align_sums", 2, 256, luma.size, *uploaded, 64, 32, 1.0, 0.0, device.upload(state), sums)
+    return download(sums)[32:]
+
+
+def scattered() -> tuple[np.ndarray, list[np.ndarray]]:
+    """A luma image, and points (3, n), Jacobians (6, n), values and weights (n,) of its pixels at depths around 2."""
     camera, rng = ErpCamera(64, 32), np.random.default_rng(6)
     luma = cv2.GaussianBlur(rng.random((32, 64)).astype(np.float32), (0, 0), 2.0)
-    points = [np.ascontiguousarray(a, dtype=np.float32) for a in scattered(camera, luma, rng)]
-    reference = Reference([ReferenceLevel(*points, np.array([64, 32, 0, 0, 0, 0], np.float32))], ERP)
-    options = AlignOptions(iterations=(4,), step_m=0.0, step_rad=0.0)
-    return align(reference, [luma], se3_exp([0.02, -0.01, 0.03, 0.01, 0.02, -0.01]), options, device=device)
-
-
-def scattered(camera: ErpCamera, luma: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
-    """Points (3, n), Jacobians (6, n), values and weights (n,) of every pixel, at depths around 2."""
     d = 2 + rng.random(luma.shape)
     X, Y, Z = (camera.rays() * d[..., None]).reshape(-1, 3).T
     gu = 0.5 * (np.roll(luma, -1, 1) - np.roll(luma, 1, 1)).ravel() * 64 / (2 * np.pi)
@@ -63,7 +78,8 @@ def scattered(camera: ErpCamera, luma: np.ndarray, rng: np.random.Generator) -> 
     jx, jy = gu * Z / rho**2 - gv * X * Y / (r2 * rho), gv * rho / r2
     jz = -gu * X / rho**2 - gv * Z * Y / (r2 * rho)
     J = np.stack([jx, jy, jz, Y * jz - Z * jy, Z * jx - X * jz, X * jy - Y * jx])
-    return np.stack([X, Y, Z]), J, luma.ravel(), rho / np.sqrt(r2)
+    arrays = (np.stack([X, Y, Z]), J, luma.ravel(), rho / np.sqrt(r2))
+    return luma, [np.ascontiguousarray(a, dtype=np.float32) for a in arrays]
 
 
 def differences(a: list[np.ndarray], b: list[np.ndarray]) -> float:
@@ -115,6 +131,32 @@ def test_downloads_are_copies() -> None:
     copy = download(tensor)
     tensor += 1
     assert not copy.any()
+
+
+# -- the driver --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def by_driver(monkeypatch: pytest.MonkeyPatch) -> LaunchedByDriver:
+    stream = SimpleNamespace(cuda_stream=0x987654321)
+    monkeypatch.setattr(torch.cuda, "current_stream", lambda _: stream)
+    return LaunchedByDriver()
+
+
+def test_kernels_get_their_arguments_through_the_driver(
+    by_driver: LaunchedByDriver, expected: list[np.ndarray]
+) -> None:
+    assert differences(everything(by_driver), expected) == 0
+
+
+def test_what_the_driver_refuses_is_an_error_in_its_words(by_driver: LaunchedByDriver) -> None:
+    with pytest.raises(RuntimeError, match=r"failed at unknown: named symbol not found \(CUDA error 500\)"):
+        by_driver.launch("unknown", 1, 32)
+    with pytest.raises(MemoryError, match="too little memory for too_large"):
+        by_driver.launch("too_large", 1, 32)
+    by_driver.launch("unknown", 0, 32)  # nothing to launch
+    with pytest.raises(DeviceError, match="loading the kernels"):
+        by_driver._load(by_driver._driver, b"text")
 
 
 # -- NVRTC, where it is installed --------------------------------------------------------------------------------------
