@@ -57,7 +57,7 @@ def test_nobody_else_does(gpu: Any, tmp_path: Path) -> None:
     assert "gpu" not in record
     assert "peak_gpu_bytes" not in record["timing"]
     with pytest.raises(UnsupportedError, match="--device cuda: this method computes on the CPU alone"):
-        run(tmp_path, device="cuda")
+        run(tmp_path / "second", device="cuda")
 
 
 def test_the_cpu_can_be_asked_for(user: Any, gpu: Any, tmp_path: Path) -> None:
