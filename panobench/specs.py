@@ -103,7 +103,8 @@ class DatasetSpec(Spec):
 class MethodSpec(Spec):
     """A SLAM or reconstruction method; the implementation is an OnlineMethod or BatchMethod subclass.
 
-    cameras: camera kinds it accepts, in order of preference. needs: of "rgb", "imu", "depth", "poses".
+    cameras: camera kinds it accepts, in order of preference. needs: of "rgb", "imu", "depth", "poses". uses: what it
+    makes use of where a sequence has it, of "imu" (contract 1.1).
     config: "module:Dataclass" with its options; presets: name -> values that differ from the defaults.
     deterministic: the same seed on the same machine gives the same answer to the bit. frame_masks: it honours
     ``Frame.mask``; for other methods what is hidden in any frame is hidden in all of them. rigs: it takes the pictures
@@ -126,6 +127,7 @@ class MethodSpec(Spec):
     rigs: bool = False
     maps: bool = False
     needs_map: bool = False
+    uses: tuple[str, ...] = ()
     contract: str = CONTRACT_VERSION
 
 

@@ -210,6 +210,12 @@ class RunRequest:
         label=None,
         separates=False,
     )
+    imu: str = run_option(
+        "auto",
+        "Inertial samples: auto (where the sequence has them and the method uses them), or off.",
+        changes_input=False,
+        label="imu {}",
+    )
     check: str = run_option(
         "auto",
         "Second opinion for the verdict: a METHOD, backwards, none, or auto (where there is no ground truth).",
@@ -245,6 +251,8 @@ class RunRequest:
 
     def __post_init__(self) -> None:
         self.given()  # its options are checked
+        if self.imu not in ("auto", "off"):
+            raise UsageError(f"--imu {self.imu}: must be auto or off")
         for option in run_options(type(self)):
             option.check(getattr(self, option.name))
         if self.device not in DEVICES:

@@ -26,7 +26,7 @@ from panobench.bench.record import CellRecord, RunRecord, VerdictRecord
 from panobench.bench.request import RunRequest
 from panobench.bench.results import run_record, save_map, timing_record, write_run
 from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
-from panobench.bench.setup import RunSetup, oracle_depth, set_up_run
+from panobench.bench.setup import RunSetup, oracle_depth, set_up_run, wants_imu
 from panobench.bench.tracking import Pose, Tracked, track_batch, track_online
 from panobench.bench.truth import align_clocks
 from panobench.bench.views import held_out
@@ -180,7 +180,7 @@ def _track(
             seed=request.seed,
             work=Path(work),
             make_depth=setup.depth.make if setup.depth else None,
-            imu=sequence.imu if "imu" in needs else None,
+            imu=sequence.imu if wants_imu(request, setup.spec) else None,
             rig=sequence.rig if setup.spec.rigs else None,
             poses=_poses(sequence, truth) if "poses" in needs and truth is not None else None,
             saved_map=setup.saved_map,

@@ -86,6 +86,8 @@ def set_up_run(request: RunRequest, progress: Progress = lambda done, total: Non
     kind = None if calibration_file(request.camera) else request.camera.partition(":")[0]
     kernels = compile_ahead(entry_points(spec.name, kind, request.dataset), progress)
     sequence = open_input(request, spec)
+    if "imu" in spec.needs and request.imu == "off":
+        raise UsageError(f"--imu off: method '{spec.name}' needs an IMU")
     if "imu" in spec.needs and sequence.imu is None:
         raise UnsupportedError(f"method '{spec.name}' needs an IMU; sequence '{sequence.name}' has none")
     own_poses = bool(getattr(config, "trajectory", ""))  # the method reads poses from a file that the user names
@@ -224,6 +226,11 @@ def open_depth(option: str | None) -> DepthChoice | None:
     if option is not None:
         spec.load()(argument)  # this refuses a wrong argument now, not after the first frames
     return choice
+
+
+def wants_imu(request: RunRequest, spec: MethodSpec) -> bool:
+    """Whether the method gets the sequence's inertial samples, if there are any."""
+    return request.imu != "off" and ("imu" in spec.needs or "imu" in spec.uses)
 
 
 def oracle_depth(setup: RunSetup) -> Callable[[int], Any]:

@@ -13,20 +13,19 @@ from numpy.typing import NDArray
 
 from panobench.errors import UnavailableError
 from panobench.geometry import Sim3, make_pose, umeyama
-from panobench.inertial.initialise import Initial, initialise
-from panobench.inertial.rotation import RotationFit, TooLittleMotionError, fit_rotation
-from panobench.inertial.samples import InertialError, Samples, usable_samples
+from panobench.inertial.initialise import SCALE_SIGMA_MAX, Initial, initialise
+from panobench.inertial.rotation import RotationFit, fit_rotation
+from panobench.inertial.samples import ContradictionError, Samples, TooLittleMotionError, usable_samples
 from panobench.inertial.visual import VisualPoses
 from panobench.types import Imu
 
 Array = NDArray[np.float64]
 
-#: Noise of visual poses is taken for at least this.
-POSITION_FLOOR_M, ROTATION_FLOOR_RAD = 2e-4, 5e-5
-#: The fit is repeated if the noise was misjudged by more than this factor.
-MISJUDGED = 1.6
 #: Residuals of the inertial factors, in standard deviations, from which the two contradict one another.
 INERTIAL_RMS_MAX = 4.0
+#: Errors of visual positions may go with the motion: a small motion is found a bit too small where images are coarse.
+#: This share of them is taken to.
+SYSTEMATIC = 0.5
 #: The first estimate of the scale and the fit's may differ by this, relative.
 SCALES_APART = 0.1
 
@@ -119,24 +118,20 @@ def _fit(visual: VisualPoses, samples: Samples, rotation: RotationFit, initials:
     T_body_cam = make_pose(rotation.R_body_cam, samples.T_body_cam[:3, 3])
     placed = place(visual, samples, T_body_cam, rotation, initials)
     main = max(initials, key=lambda m: int((visual.maps == m).sum()))
-    noise = Noise(
-        max(initials[main].noise_m, POSITION_FLOOR_M), max(rotation.noise_rad / np.sqrt(2), ROTATION_FLOOR_RAD)
-    )
-    found = fit(placed.nodes, samples, T_body_cam, noise)
-    measured = Noise(max(found.position_rms_m, POSITION_FLOOR_M), max(found.rotation_rms_rad, ROTATION_FLOOR_RAD))
-    misjudged = max(
-        abs(np.log(measured.position_m / noise.position_m)), abs(np.log(measured.rotation_rad / noise.rotation_rad))
-    )
-    if misjudged > np.log(MISJUDGED):
-        found = fit(placed.nodes, samples, T_body_cam, measured)
+    found = fit(placed.nodes, samples, T_body_cam, Noise(initials[main].noise_m, rotation.noise_rad / np.sqrt(2)))
     of_main = placed.nodes.maps == main
     scale = float(np.exp(np.mean(np.log(found.scale[of_main]))))
     if found.inertial_rms > INERTIAL_RMS_MAX:
-        raise InertialError(
+        raise ContradictionError(
             f"the IMU contradicts the camera: its residuals are {found.inertial_rms:.1f} times what its noise explains"
         )
+    if found.scale_sigma > SCALE_SIGMA_MAX:
+        raise TooLittleMotionError(
+            f"visual poses drift too much for metres: the scale is known to {found.scale_sigma:.0%}, "
+            f"{SCALE_SIGMA_MAX:.0%} is needed"
+        )
     if abs(np.log(scale / initials[main].scale)) > SCALES_APART:
-        raise InertialError(
+        raise ContradictionError(
             f"no scale fits both camera and IMU: {initials[main].scale:.3g} m a unit at first, {scale:.3g} m in the fit"
         )
     T_wc = at_all_frames(visual, placed, found.T_wb, found.scale, T_body_cam)
@@ -145,11 +140,11 @@ def _fit(visual: VisualPoses, samples: Samples, rotation: RotationFit, initials:
         T_wc,
         bridged,
         scale,
-        found.scale_sigma,
+        float(np.hypot(found.scale_sigma, SYSTEMATIC * found.noise.position_m / initials[main].signal_m)),
         rotation.offset_s,
         np.median(found.gyro_bias, axis=0),
         np.median(found.accel_bias, axis=0),
-        found.position_rms_m,
-        found.rotation_rms_rad,
+        found.noise.position_m,
+        found.noise.rotation_rad,
         (*samples.remarks, *rotation.remarks),
     )

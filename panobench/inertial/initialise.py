@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from panobench.geometry import so3_exp
 from panobench.inertial.orientation import Orientation
-from panobench.inertial.rotation import RotationFit, TooLittleMotionError
-from panobench.inertial.samples import InertialError, Samples, white_noise
+from panobench.inertial.rotation import RotationFit
+from panobench.inertial.samples import ContradictionError, Samples, TooLittleMotionError, white_noise
 from panobench.inertial.visual import VisualPoses
 
 Array = NDArray[np.float64]
@@ -44,6 +44,7 @@ UNEXPLAINED = 5.0
 class Initial:
     """scale: metres in a unit of the map. scale_sigma: its standard deviation, relative. gravity (3,): m/s^2 in the
     map's axes. accel_bias (3,): m/s^2. noise_m: of a visual position, per axis, m. windows: how many were used.
+    signal_m: root mean square of what positions in a window are off a parabola by, which is what tells the scale.
     """
 
     scale: float
@@ -52,21 +53,26 @@ class Initial:
     accel_bias: Array
     noise_m: float
     windows: int
+    signal_m: float
 
 
 @dataclass(frozen=True)
 class _System:
-    """Rows of all windows, start and velocity eliminated: y (3K,) = A (3K, 7) (lambda, lambda g, lambda b_a)."""
+    """Rows of all windows, start and velocity eliminated: y (3K,) = A (3K, 7) (lambda, lambda g, lambda b_a).
+
+    signal: see ``Initial``, in units of the map.
+    """
 
     A: Array
     y: Array
     windows: int
+    signal: float
 
 
 def initialise(visual: VisualPoses, samples: Samples, rotation: RotationFit) -> Initial:
     """Of one map's poses.
 
-    Raises TooLittleMotionError if the motion does not determine the scale, InertialError if no scale fits both.
+    Raises TooLittleMotionError if the motion does not determine the scale, ContradictionError if no scale fits both.
     """
     system = _windows(visual, samples, rotation)
     free, sigma_free = _solve_free(system, samples.gravity)
@@ -81,7 +87,7 @@ class DoubleIntegral:
     def __init__(self, visual: VisualPoses, samples: Samples, rotation: RotationFit) -> None:
         known = visual.select(visual.known)
         self.times = samples.times + rotation.offset_s
-        orientation = Orientation(samples.shifted(rotation.offset_s), rotation.bias)
+        self.orientation = orientation = Orientation(samples.shifted(rotation.offset_s), rotation.bias)
         # From the last frame before each sample on: the gyroscope's drift never adds up.
         k = np.clip(np.searchsorted(known.times, self.times, side="right") - 1, 0, len(known) - 1)
         R_wb = known.T_wc[:, :3, :3] @ rotation.R_body_cam.T
@@ -104,6 +110,11 @@ class DoubleIntegral:
         value = self.twice[k] + self.once[k] * since + (self.columns[k] / 2 + slope / 6) * since**2
         return value[:, :3], value[:, 3:].reshape(-1, 3, 3)
 
+    def turn(self, begin: float, end: float) -> Array:
+        """(3, 3) the body's axes at ``end`` in those at ``begin``, by the gyroscope."""
+        R = self.orientation.at(np.array([begin, end]))
+        return np.asarray(R[0].T @ R[1])
+
 
 def _cumulative(steps: Array) -> Array:
     return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
@@ -114,7 +125,7 @@ def _windows(visual: VisualPoses, samples: Samples, rotation: RotationFit) -> _S
     integral = DoubleIntegral(visual, samples, rotation)
     force, turned = integral.at(known.times)
     lever = known.T_wc[:, :3, :3] @ rotation.R_body_cam.T @ samples.T_body_cam[:3, 3]
-    rows, rights, count = [], [], 0
+    rows, rights, curved, count = [], [], [], 0
     moved = samples.shifted(rotation.offset_s)
     begin = 0
     while begin < len(known):
@@ -131,11 +142,14 @@ def _windows(visual: VisualPoses, samples: Samples, rotation: RotationFit) -> _S
             rows.append((flat - basis @ (basis.T @ flat)).reshape(-1, 7))
             p = known.T_wc[begin:end, :3, 3]
             rights.append((p - basis @ (basis.T @ p)).reshape(-1))
+            parabola = np.linalg.qr(np.column_stack([basis, t**2]))[0]
+            curved.append(np.sum((p - parabola @ (parabola.T @ p)) ** 2, axis=1))
             count += 1
         begin = max(end, begin + 1)
     if not rows:
         raise TooLittleMotionError(f"no {WINDOW_S:g} s of poses without a gap, which metres need")
-    return _System(np.concatenate(rows), np.concatenate(rights), count)
+    signal = float(np.sqrt(np.mean(np.concatenate(curved))))
+    return _System(np.concatenate(rows), np.concatenate(rights), count, signal)
 
 
 def _weights(residual: Array) -> tuple[Array, float]:
@@ -167,7 +181,7 @@ def _judge(x: Array, covariance: Array, gravity: float) -> None:
     by_motion, by_gravity = float(x[0]), float(np.linalg.norm(x[1:4])) / gravity
     deviation = float(np.sqrt(covariance[0, 0]))
     if by_motion < -4 * deviation:
-        raise InertialError(
+        raise ContradictionError(
             "the IMU contradicts the camera: accelerations have the wrong sign (the accelerometer measures gravity and "
             "not the force against it, or the mounting of its axes is wrong)"
         )
@@ -175,7 +189,7 @@ def _judge(x: Array, covariance: Array, gravity: float) -> None:
     across = float(np.sqrt(direction @ covariance[1:4, 1:4] @ direction)) / gravity
     apart = abs(by_motion - by_gravity)
     if apart > 5 * np.hypot(deviation, across) and apart > 0.15 * max(by_gravity, abs(by_motion)):
-        raise InertialError(
+        raise ContradictionError(
             f"the IMU contradicts the camera: by accelerations a unit of the map is {_metres(by_motion)} m, by gravity "
             f"{_metres(by_gravity)} m (a wrong mounting of the accelerometer, or stabilised video)"
         )
@@ -224,7 +238,7 @@ def _solve_constrained(system: _System, free: Array, size: float, expected: floa
     relative = float(np.sqrt(covariance[0, 0]))
     if relative > SCALE_SIGMA_MAX:
         if sigma > UNEXPLAINED * expected:
-            raise InertialError(
+            raise ContradictionError(
                 "the IMU contradicts the camera: no scale and no gravity explain its accelerations (a wrong mounting "
                 "of the accelerometer, stabilised video or another recording's IMU)"
             )
@@ -232,4 +246,4 @@ def _solve_constrained(system: _System, free: Array, size: float, expected: floa
             f"the camera accelerates too little for metres: the scale is known to {relative:.0%}, "
             f"{SCALE_SIGMA_MAX:.0%} is needed"
         )
-    return Initial(1 / lam, relative, size * direction, bias, sigma / lam, system.windows)
+    return Initial(1 / lam, relative, size * direction, bias, sigma / lam, system.windows, system.signal / lam)

@@ -19,7 +19,7 @@ from panobench.inertial.visual import VisualPoses
 Array = NDArray[np.float64]
 
 #: Nodes a second, where there are more frames. Strides, at two a second, want a good sampling.
-NODE_RATE_HZ = 16.0
+NODE_RATE_HZ = 10.0
 #: Longest time without a visual pose that is bridged: between two of them, and before the first or after the last, s.
 BRIDGE_S, EXTRAPOLATE_S = 6.0, 2.5
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from panobench.geometry import so3_exp, so3_log
 from panobench.inertial.orientation import Orientation
-from panobench.inertial.samples import InertialError, Samples
+from panobench.inertial.samples import ContradictionError, Samples, TooLittleMotionError
 from panobench.inertial.visual import VisualPoses, overlapping_pairs, pairs
 
 Array = NDArray[np.float64]
@@ -54,10 +54,6 @@ class RotationFit:
     remarks: tuple[str, ...] = ()
 
 
-class TooLittleMotionError(InertialError):
-    """Nothing is wrong, and nothing can be said yet."""
-
-
 @dataclass(frozen=True)
 class _Turns:
     """Turns of the camera between pairs of frames: rotation vectors (P, 3) in camera axes, begin and end (P,) in s."""
@@ -74,7 +70,7 @@ class _Turns:
 def fit_rotation(visual: VisualPoses, samples: Samples) -> RotationFit:
     """Compare the two.
 
-    Raises TooLittleMotionError if the camera hardly turned, InertialError if they contradict one another.
+    Raises TooLittleMotionError if the camera hardly turned, ContradictionError if they contradict one another.
     """
     turns = _camera_turns(visual)
     R_cb = samples.T_body_cam[:3, :3].T
@@ -142,7 +138,7 @@ def _centred(values: Array, turns: _Turns) -> Array:
 
 
 def _judge(turns: _Turns, samples: Samples, R_cb: Array, offset: float) -> None:
-    """Raises InertialError unless the gyroscope explains the camera's turns as it is mounted."""
+    """Raises ContradictionError unless the gyroscope explains the camera's turns as it is mounted."""
     body = _centred(_Integral(samples).turns(turns, offset), turns)
     camera = _centred(turns.camera, turns)
     if _explains(camera, body @ R_cb.T, turns):
@@ -158,15 +154,15 @@ def _judge(turns: _Turns, samples: Samples, R_cb: Array, offset: float) -> None:
         mistakes[text + ("" if np.linalg.det(axes) > 0 else ", a left-handed system")] = body @ axes.T @ R_cb.T
     for text, predicted in mistakes.items():
         if _explains(camera, predicted, turns):
-            raise InertialError(f"the IMU contradicts the camera: {text}")
+            raise ContradictionError(f"the IMU contradicts the camera: {text}")
     free, likeness = _aligned(camera, body)
     if likeness > 0.95 and np.linalg.det(free) > 0 and _explains(camera, body @ free.T, turns):
         off = np.degrees(np.linalg.norm(so3_log(free @ R_cb.T)))
-        raise InertialError(
+        raise ContradictionError(
             f"the IMU contradicts the camera: its mounting is off by {off:.0f} degrees from the calibration's"
         )
     share = _share(camera, body @ R_cb.T)
-    raise InertialError(
+    raise ContradictionError(
         f"the IMU contradicts the camera: it explains {max(share, 0.0):.0%} of the turning (a levelled or stabilised "
         "video, another recording's IMU or a wrong mounting)"
     )

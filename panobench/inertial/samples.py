@@ -34,6 +34,14 @@ class InertialError(Exception):
     """The samples cannot be used; the message says why in one line. Never leaves this package's callers."""
 
 
+class TooLittleMotionError(InertialError):
+    """Nothing is wrong, and nothing can be said yet."""
+
+
+class ContradictionError(InertialError):
+    """Camera and IMU cannot both be right."""
+
+
 @dataclass(frozen=True)
 class ImuNoise:
     """Densities: gyro rad/s/sqrt(Hz), accel m/s^2/sqrt(Hz), and of the biases' random walks, per s and sqrt(Hz)."""
@@ -94,8 +102,8 @@ class Samples:
         return ((accel[1:] + accel[:-1]) / 2)[keep], ((gyro[1:] + gyro[:-1]) / 2)[keep], seconds[keep]
 
 
-def usable_samples(imu: Imu, frame_times: Array) -> Samples:
-    """The samples, ready for use with frames at ``frame_times`` (F,) in s.
+def usable_samples(imu: Imu, frame_times: Array | None = None) -> Samples:
+    """The samples, ready for use with frames at ``frame_times`` (F,) in s, if these are known yet.
 
     Raises InertialError if there are too few or too slow, if they do not overlap the frames, are no numbers, are
     saturated for long, or if their unit is not known.
@@ -105,12 +113,8 @@ def usable_samples(imu: Imu, frame_times: Array) -> Samples:
     step = float(np.median(np.diff(times)))
     if step > 1 / RATE_MIN:
         raise InertialError(f"the IMU has {1 / step:.0f} samples a second; {RATE_MIN:.0f} are the least that help")
-    overlap = min(times[-1], frame_times[-1]) - max(times[0], frame_times[0])
-    if overlap < 0.5 * (frame_times[-1] - frame_times[0]):
-        raise InertialError(
-            f"the IMU's samples are from {times[0]:.2f} to {times[-1]:.2f} s, the frames from {frame_times[0]:.2f} to "
-            f"{frame_times[-1]:.2f} s: less than half is covered"
-        )
+    if frame_times is not None:
+        _check_overlap(times, frame_times)
     accel = _in_si(accel, remarks)
     saturated = _saturated(gyro, GYRO_RANGE) | _saturated(accel, ACCEL_RANGE)
     if saturated.mean() > SATURATED_MAX:
@@ -126,6 +130,15 @@ def usable_samples(imu: Imu, frame_times: Array) -> Samples:
     noise = ImuNoise(max(white_noise(gyro, step), GYRO_FLOOR), max(white_noise(accel, step), ACCEL_FLOOR))
     gravity = imu.gravity or STANDARD_GRAVITY
     return Samples(times, gyro, accel, T_body_cam, gravity, noise, usable, tuple(remarks))
+
+
+def _check_overlap(times: Array, frame_times: Array) -> None:
+    overlap = min(times[-1], frame_times[-1]) - max(times[0], frame_times[0])
+    if overlap < 0.5 * (frame_times[-1] - frame_times[0]):
+        raise InertialError(
+            f"the IMU's samples are from {times[0]:.2f} to {times[-1]:.2f} s, the frames from {frame_times[0]:.2f} to "
+            f"{frame_times[-1]:.2f} s: less than half is covered"
+        )
 
 
 def white_noise(values: Array, step: float) -> float:

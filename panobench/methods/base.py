@@ -33,7 +33,7 @@ class MethodContext:
     seed:       all randomness must come from it.
     work:       an empty folder it may write to; nothing outside it.
     make_depth: makes a fresh depth estimator as chosen by --depth (None: the method was run without one).
-    imu:        inertial samples when the method's spec says it needs them.
+    imu:        inertial samples, where its spec says that it needs or uses them (None: --imu off, or there are none).
     rig:        the lenses of ``Frame.lenses``, for methods that take rigs, where the data have one (contract 1.1).
                 Poses are those of its axes, which are the camera's.
     poses:      camera-to-world poses by frame index, only for methods whose spec needs "poses".

@@ -19,6 +19,7 @@ METHODS: tuple[MethodSpec, ...] = (
         presets=PANOGS_PRESETS,
         frame_masks=True,
         maps=True,
+        uses=("imu",),
     ),
     MethodSpec(
         "localise",
@@ -47,6 +48,7 @@ METHODS: tuple[MethodSpec, ...] = (
             "fast": {"features": 350, "face_pixels": 300_000, "window": 6},
             "accurate": {"features": 1200, "window": 12, "final_ba": 20},
         },
+        uses=("imu",),
     ),
     MethodSpec(
         "direct",

@@ -102,6 +102,7 @@ def _declaration(spec: MethodSpec) -> str:
     require(spec.cameras, "cameras is empty")
     unknown = set(spec.needs) - NEEDS
     require(not unknown, f"needs has {sorted(unknown)}; known are {sorted(NEEDS)}")
+    require(set(spec.uses) <= {"imu"}, f"uses has {sorted(set(spec.uses) - {'imu'})}; known is imu")
     require(spec.licence, "licence is empty: name the licence of the method's code")
     require(
         same_contract(spec.contract), f"written for contract {spec.contract}, this panobench has {CONTRACT_VERSION}"

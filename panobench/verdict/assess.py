@@ -32,6 +32,7 @@ def assess(
         path.steadiness(estimate.trajectory),
         own.first_depth(estimate, confirmed=confirmed),
         own.agreement(estimate),
+        own.inertial(estimate),
         own.map_pictures(metrics or {}),
         *opinions,
     ]

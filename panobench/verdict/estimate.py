@@ -14,6 +14,8 @@ from panobench.verdict.base import Evidence, falling
 FAILED_START, FAILED_START_CONFIRMED = 0.4, 0.8
 #: PSNR of the map at its own frames, in dB, that a right run of a recording reaches, and that no right run has.
 PSNR_GOOD, PSNR_BAD = 19.0, 13.0
+#: Trust in a path that the IMU contradicts: a wrong mounting is as likely as a wrong path.
+CONTRADICTED = 0.4
 #: Median share of textured blocks in which frame and render agree.
 AGREEMENT_GOOD, AGREEMENT_BAD = 0.65, 0.35
 
@@ -40,6 +42,21 @@ def map_pictures(metrics: Mapping[str, float | None]) -> Evidence | None:
             trust = falling(value, PSNR_GOOD, PSNR_BAD)
             return Evidence("pictures", trust, f"the map shows {what} with {value:.1f} dB")
     return None
+
+
+def inertial(estimate: Estimate) -> Evidence | None:
+    """Whether the IMU and the camera could both be right, if the method had one."""
+    said = estimate.extra.get("inertial")
+    if not isinstance(said, Mapping) or not said:
+        return None
+    if said.get("contradicted"):
+        return Evidence(
+            "inertial", CONTRADICTED, str(said.get("reason", "the IMU contradicts the camera")),
+            "give the IMU's mounting, axes and units as they are, and no levelled or stabilised video; or --imu off",
+        )  # fmt: skip
+    if said.get("initialised"):
+        return Evidence("inertial", 1.0, "camera and IMU agree on turns, scale and gravity")
+    return Evidence("inertial", 1.0, f"the IMU was no help: {said.get('reason', '')}")
 
 
 def agreement(estimate: Estimate) -> Evidence | None:

@@ -14,8 +14,8 @@ from inertial_walks import GRAVITY, Recording, drone, record, seen, walk
 from panobench.datasets.palvio_synth import BodyMotion
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.inertial.initialise import Initial, initialise
-from panobench.inertial.rotation import TooLittleMotionError, fit_rotation
-from panobench.inertial.samples import InertialError, usable_samples
+from panobench.inertial.rotation import fit_rotation
+from panobench.inertial.samples import InertialError, TooLittleMotionError, usable_samples
 from panobench.inertial.visual import VisualPoses
 from panobench.types import Imu, Trajectory
 

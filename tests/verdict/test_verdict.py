@@ -104,6 +104,16 @@ def test_what_the_map_does_not_explain_counts() -> None:
     assert assess(Estimate(walk(), frames={i: {"agreement": 0.9} for i in range(30)}), 60).word is Word.TRUSTED
 
 
+def test_an_imu_that_contradicts_the_camera_is_a_doubt_and_one_that_agrees_or_is_no_help_is_none() -> None:
+    wrong = {"initialised": False, "contradicted": True, "reason": "the IMU contradicts the camera: degrees/s"}
+    verdict = assess(Estimate(walk(), extra={"inertial": wrong}), 60)
+    assert verdict.word is Word.DOUBTFUL
+    assert "degrees/s" in verdict.reasons[0]
+    assert "--imu off" in verdict.advice[0]
+    for fine in ({"initialised": True}, {"initialised": False, "contradicted": False, "reason": "it stood still"}, {}):
+        assert assess(Estimate(walk(), extra={"inertial": fine}), 60).word is Word.TRUSTED
+
+
 def test_a_run_that_does_not_count_has_failed() -> None:
     verdict = assess(Estimate(walk()), 60, rejected="crashed: no memory")
     assert verdict.word is Word.FAILED

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from enum import Enum
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
+from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.maps.saved import SavedMap
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.agreement import agreement
@@ -30,7 +32,7 @@ from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.revisits import RevisitFactors
 from panobench.methods.panogs.rolling_shutter import RollingShutter
 from panobench.methods.panogs.tracker import Tracked, Tracker
-from panobench.methods.panogs.trajectory import AnchoredTrajectory
+from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
 from panobench.splat.backend import device_for
@@ -71,6 +73,10 @@ class PanogsMethod(OnlineMethod):
         tracking_renderer = Renderer(camera, self._projection, c.rendering.low_pass, stop=1e-3, device=self.device)
 
         self.trajectory = AnchoredTrajectory()
+        # A saved map has a frame of its own, in which the poses stay.
+        imu = context.imu if context.saved_map is None else None
+        self.inertial = InertialStage(imu, context.log, context.warn, self.trajectory.get)
+        self.in_metres = False
         self.tracker = Tracker(camera, tracking_renderer, c)
         self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places, c.relocalisation)
@@ -103,6 +109,7 @@ class PanogsMethod(OnlineMethod):
     # -- one frame -----------------------------------------------------------------------------------------------------
 
     def track(self, frame: Frame) -> Pose | None:
+        self.inertial.saw(frame.index, frame.time)
         if self._is_blank(frame.image):
             self._skip(frame)
         elif self.phase is Phase.WAITING:
@@ -137,12 +144,19 @@ class PanogsMethod(OnlineMethod):
         self.mapper.optimiser.work_for_a_frame()
         self.tracker.reset(self.trajectory[frame.index], self.tracker.velocity)
         self.shutter.record(frame.time, self.trajectory[frame.index])
+        self.inertial.tracked(frame.index, frame.time)
         self._note(frame, mapping_s=time.perf_counter() - began - tracking_s)
 
     def _track(self, frame: Frame) -> tuple[Frame, Tracked]:
         """Align the frame to the map; with a rolling shutter, the frame as a global one would have seen it."""
         gaussians, given, rate = self.mapper.map.gaussians, frame.image, self.shutter.predicted_rate()
         frame = replace(frame, image=self.shutter.rectified(given, rate)) if self.shutter.enabled else frame
+        expected = self.inertial.expect(frame.time)
+        if expected is not None:
+            if self.relocaliser.lost_for:  # the last render may be of far away
+                self.tracker.restart(expected)
+            else:
+                self.tracker.expect(expected)
         before = self.tracker.T_last
         tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
         measured = self.shutter.measured_rate(frame.time, tracked.T_wc)
@@ -284,23 +298,44 @@ class PanogsMethod(OnlineMethod):
         self.jobs.finish()
         self._track_before_first()
         self.mapper.optimiser.finish()
-        indices = sorted(i for i in self.trajectory if i >= 0)  # others are a saved map's
-        times = np.array([self.trajectory.time(i) for i in indices])
-        poses = np.array([self.trajectory[i] for i in indices]).reshape(-1, 4, 4)
+        metric = self._to_metres()
+        mine = [index for index in self.trajectory if index >= 0]  # others are a saved map's
+        known = {index: (self.trajectory.time(index), self.trajectory[index]) for index in mine}
+        if metric is not None:  # with frames that vision has no pose of
+            known |= {i: (self.inertial.times[i], T) for i, T in metric.poses.items() if i not in known}
+        indices = sorted(known)
+        times = np.array([known[i][0] for i in indices])
+        poses = np.array([known[i][1] for i in indices]).reshape(-1, 4, 4)
         gaussians = self.mapper.map.gaussians
+        extra: dict[str, Any] = {
+            "gaussians": len(gaussians),
+            "projection": self._projection,
+            "moving": self.mapper.transients.active,
+        }
+        if self.inertial.enabled:
+            extra["inertial"] = self.inertial.numbers
         return Estimate(
             Trajectory(times, poses),
             keyframes=sorted(v.index for v in self.trajectory.keyframes if v.index >= 0),
             metric=self._metric,
+            gravity_aligned=self.in_metres,
             map=gaussians.on_host() if len(gaussians) else None,
             frames=self.numbers,
             depth=self.first_depth,
-            extra={
-                "gaussians": len(gaussians),
-                "projection": self._projection,
-                "moving": self.mapper.transients.active,
-            },
+            extra=extra,
         )
+
+    def _to_metres(self) -> MetricPoses | None:
+        """Move trajectory and map to the metric, upright world of the visual-inertial fit, if there is an IMU."""
+        if not self.inertial.enabled:
+            return None
+        metric = self.inertial.finish([{index: self.trajectory[index] for index in self.trajectory}])
+        if metric is not None:
+            poses = {index: T for index, T in metric.poses.items() if index in self.trajectory}
+            everywhere = frozenset(v.index for v in self.trajectory.keyframes)
+            self.trajectory.correct(Correction(poses, True, everywhere, metric.scale))
+            self.in_metres = True
+        return metric
 
     def _track_before_first(self) -> None:
         """Track and map the frames before the first map backwards; one that is lost keeps the estimator's pose."""
@@ -321,7 +356,7 @@ class PanogsMethod(OnlineMethod):
     def _metric(self) -> bool:
         """Whether the map's unit is the metre."""
         saved = self.context.saved_map
-        return saved.metric if saved else bool(self.first_depth and self.first_depth.metric)
+        return saved.metric if saved else self.in_metres or bool(self.first_depth and self.first_depth.metric)
 
     def saved_map(self) -> SavedMap | None:
         return saved_map(self.mapper, self.camera, self.trajectory, self._metric, "panogs")

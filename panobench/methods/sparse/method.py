@@ -8,6 +8,7 @@ camera is relocalised by descriptors (``relocalise``), and loops are closed (``l
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, make_pose, renormalise
+from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.sparse.adjust import pose_errors, solve_pose
 from panobench.methods.sparse.config import SparseConfig
@@ -49,6 +51,8 @@ YOUNG_MAP = 6
 LOOP_INTERVAL = 8
 #: Rounds of turning bearings by the trajectory's angular velocities and adjusting it.
 SHUTTER_ROUNDS = 2
+#: With an IMU, which tells the scale everywhere, a loop that changes it by more than this (logarithm) is not closed.
+LOOP_SCALE = 0.05
 #: Face sizes are multiples of 2^(MAX_LEVELS - 1).
 MAX_LEVELS = 5
 
@@ -92,11 +96,13 @@ class SparseMethod(OnlineMethod):
         self.rng = np.random.default_rng(context.seed)
         self.pool = ThreadPoolExecutor(2)
         self.initialiser = Initialiser(self.face_set, self.config, self.rng, self.pool)
+        self.inertial = InertialStage(context.imu, context.log, context.warn, self._pose_of)
         self.session: Session | None = None
         self.previous: list[Session] = []
         self.numbers: dict[int, dict[str, float]] = {}
 
     def track(self, frame: Frame) -> Array | None:
+        self.inertial.saw(frame.index, frame.time)
         if self.rig_faces is not None:
             pyramid = self.rig_faces.pyramids(frame.lenses, self.levels)
         else:
@@ -138,6 +144,8 @@ class SparseMethod(OnlineMethod):
             session.velocity = newest.T_cw @ invert_pose(session.pose_of(session.records[-2]))
         session.T_cw = newest.T_cw
         self.session = session
+        for record in session.records:
+            self.inertial.tracked(record.index, record.time)
         return invert_pose(session.T_cw)
 
     def _resume(self, pyramid: Pyramid, frame: Frame) -> Array | None:
@@ -160,7 +168,8 @@ class SparseMethod(OnlineMethod):
 
     def _track(self, session: Session, pyramid: Pyramid, frame: Frame) -> Array | None:
         aligner = self._aligner(session)
-        for guess in self._guesses(session):
+        expected = self.inertial.expect(frame.time)
+        for guess in self._guesses(session, expected):
             tracked = track_frame(aligner, pyramid, renormalise(guess), frame.index, self.config.min_inliers)
             if tracked is not None:
                 return self._accept(session, pyramid, frame, tracked, recovered=session.lost > 0)
@@ -174,14 +183,19 @@ class SparseMethod(OnlineMethod):
         max_lost = (
             self.config.restart_after if len(session.map.keyframes) >= YOUNG_MAP else self.config.restart_after // 4
         )
-        if session.lost >= max_lost:
+        if session.lost >= max_lost and expected is None:  # the IMU may still know where the camera is
             self.previous.append(session)
             self.session = None
             self.initialiser.reset()
         return None
 
-    def _guesses(self, session: Session) -> Iterator[Array]:
-        """Predicted poses, the most likely first. The costly ones are computed only when they are needed."""
+    def _guesses(self, session: Session, expected: Array | None) -> Iterator[Array]:
+        """Predicted poses T_cw, the most likely first. The costly ones are computed only when they are needed.
+
+        expected: T_wc by the IMU.
+        """
+        if expected is not None:
+            yield invert_pose(expected)
         if session.lost == 0:
             yield session.velocity @ session.T_cw
             yield make_pose(self.finder.rotation(), np.zeros(3)) @ session.T_cw
@@ -212,7 +226,15 @@ class SparseMethod(OnlineMethod):
                 tracked.bearings.astype(np.float32),
             )
         )
+        self.inertial.tracked(frame.index, frame.time)
         return invert_pose(session.T_cw)
+
+    def _pose_of(self, index: int) -> Array | None:
+        """T_wc of a recent or older frame of the present map."""
+        records = self.session.records if self.session is not None else []
+        k = bisect_left(records, index, key=lambda r: r.index)
+        known = k < len(records) and records[k].index == index
+        return invert_pose(self.session.pose_of(records[k])) if known and self.session is not None else None
 
     def _wants_keyframe(self, m: PointMap, frame: Frame, tracked: Tracked) -> bool:
         config = self.config
@@ -252,6 +274,11 @@ class SparseMethod(OnlineMethod):
         m = session.map
         loop = detect_loop(self._aligner(session), pyramid, key, self.rng)
         if loop is None:
+            return
+        if self.inertial.knows_scale and abs(np.log(loop.correction.scale)) > LOOP_SCALE:
+            self.context.log(
+                f"frame {key.frame}: a loop that changes the scale by {loop.correction.scale:.3f} is refused"
+            )
             return
         scales = close_loop(m, loop, session.records, self.face_set.focal)
         adjust_window(m, self.config, self.face_set.focal, [k.number for k in m.keyframes], 10)
@@ -295,14 +322,21 @@ class SparseMethod(OnlineMethod):
             )
         if self.rig_faces is None:
             extra["readout_ms"] = round(1e3 * self._correct_shutter(session), 2)
-        metric = m.lenses.several and self._judge_scale(m, extra)
-        records = sorted(session.records, key=lambda r: r.index)
-        poses = self._poses(session)
+        by_lenses = m.lenses.several and self._judge_scale(m, extra)
+        poses = self._poses_by_frame(session)
         extra["points"] = int((m.state == ACTIVE).sum())
+        metric = self._metric(session, poses, sessions)
+        if self.inertial.enabled:
+            extra["inertial"] = self.inertial.numbers
+        if metric is not None:
+            poses = metric.poses
+        times = {r.index: r.time for s in sessions for r in s.records} | self.inertial.times
+        indices = sorted(poses)
         return Estimate(
-            Trajectory(np.array([r.time for r in records]), poses),
+            Trajectory(np.array([times[i] for i in indices]), np.stack([poses[i] for i in indices])),
             keyframes=[k.frame for k in m.keyframes],
-            metric=metric,
+            metric=metric is not None or by_lenses,
+            gravity_aligned=metric is not None,
             frames=self.numbers,
             extra=extra,
         )
@@ -346,6 +380,20 @@ class SparseMethod(OnlineMethod):
             adjust_window(m, config, focal, [k.number for k in m.keyframes], max(config.final_ba, 1))
             rows.follow(self._poses(session))
         return readout.seconds
+
+    def _poses_by_frame(self, session: Session) -> dict[int, Array]:
+        """T_wc by frame index, in that order."""
+        return dict(zip(sorted(r.index for r in session.records), self._poses(session)))
+
+    def _metric(self, session: Session, poses: dict[int, Array], sessions: list[Session]) -> MetricPoses | None:
+        """The trajectory in metres, of all maps, if there is an IMU; frames of several maps count for the longest."""
+        if not self.inertial.enabled:
+            return None
+        maps = [poses]
+        for other in sorted((s for s in sessions if s is not session), key=lambda s: -len(s.records)):
+            known = {index for found in maps for index in found}
+            maps.append({i: T for i, T in self._poses_by_frame(other).items() if i not in known})
+        return self.inertial.finish(maps)
 
     def known_poses(self) -> dict[int, Array]:
         """Those of the map with most frames, which ``finish`` answers with."""

@@ -1,0 +1,136 @@
+"""Where the camera is expected at the next frame: by the gyroscope, and in metres once scale and gravity are known.
+
+Until the gyroscope's turns have been found to agree with the camera's, nothing is expected. Then rotations come from
+the gyroscope and positions from a constant velocity. Once the motion has told scale and gravity, positions come from
+the accelerometer too, so that a blackout of seconds can be bridged in the map's own unit.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.geometry import make_pose, renormalise
+from panobench.inertial.initialise import DoubleIntegral, Initial, initialise
+from panobench.inertial.rotation import RotationFit, fit_rotation
+from panobench.inertial.samples import InertialError, Samples
+from panobench.inertial.visual import VisualPoses
+
+Array = NDArray[np.float64]
+
+#: Of which past the calibration is made, and how often it is tried: first, and once it has succeeded, s.
+PAST_S, TRY_EVERY_S, RENEW_EVERY_S = 20.0, 1.0, 5.0
+#: Of which past the velocity at the last frame with a pose is, s.
+VELOCITY_S = 0.6
+#: The camera is expected by the accelerometer for so long without a visual pose, by the gyroscope alone for so long, s.
+RECKON_S, TURN_S = 6.0, 0.5
+#: Most frames that a calibration looks at.
+FRAMES_MAX = 300
+
+
+@dataclass
+class _Frame:
+    index: int
+    time: float
+
+
+class Predictor:
+    """pose_of: the present pose T_wc (4, 4) of a frame in the present map; None if it has none there."""
+
+    def __init__(self, samples: Samples, pose_of: Callable[[int], Array | None]) -> None:
+        self.samples, self.pose_of = samples, pose_of
+        self.rotation: RotationFit | None = None
+        self.initial: Initial | None = None
+        self.tracked: list[_Frame] = []
+        self._next_try: float | None = None
+
+    def record(self, index: int, time: float) -> None:
+        """The frame has a visual pose; from time to time the calibration is made again. Not for frames back in time."""
+        if self.tracked and time <= self.tracked[-1].time:
+            return
+        self.tracked.append(_Frame(index, time))
+        if self._next_try is None:
+            self._next_try = time + TRY_EVERY_S
+        if time >= self._next_try:
+            self._calibrate(time)
+            self._next_try = time + (TRY_EVERY_S if self.initial is None else RENEW_EVERY_S)
+
+    def expect(self, time: float) -> Array | None:
+        """T_wc (4, 4) of the next frame in the present map; None if nothing is known about it."""
+        if self.rotation is None or not self.tracked:
+            return None
+        last = self.tracked[-1]
+        apart = time - last.time
+        if not 0 < apart <= (TURN_S if self.initial is None else RECKON_S):
+            return None
+        recent = self._poses(last.time - VELOCITY_S)
+        if not len(recent) or recent.times[-1] != last.time:
+            return None
+        offset = self.rotation.offset_s
+        begin, end = recent.times[0] - offset - 0.1, time - offset + 0.1
+        first, stop = np.searchsorted(self.samples.times, [begin, end])
+        near = _slice(self.samples, int(first), int(stop))
+        if len(near) < 4 or not near.shifted(offset).covers(recent.times[:1], np.array([time]))[0]:
+            return None
+        return self._reckon(recent, near, time)
+
+    def _reckon(self, recent: VisualPoses, near: Samples, time: float) -> Array:
+        """By the samples from the first of the recent frames on."""
+        rotation = self.rotation
+        assert rotation is not None
+        integral = DoubleIntegral(recent, near, rotation)
+        times = np.append(recent.times, time)
+        R_cb = rotation.R_body_cam.T
+        R = recent.T_wc[-1, :3, :3] @ R_cb @ integral.turn(recent.times[-1], time) @ R_cb.T
+        p = recent.T_wc[:, :3, 3]
+        if self.initial is None:
+            if len(recent) < 2:
+                return make_pose(R, p[-1])
+            velocity = (p[-1] - p[-2]) / (times[-2] - times[-3])
+            return renormalise(make_pose(R, p[-1] + velocity * (time - times[-2])))
+        force, turned = integral.at(times)
+        lever = np.concatenate([recent.T_wc[:, :3, :3], R[None]]) @ (R_cb @ near.T_body_cam[:3, 3])
+        t = (times - recent.times[-1])[:, None]
+        known = force + lever + self.initial.gravity * t**2 / 2 - turned @ self.initial.accel_bias
+        known /= self.initial.scale
+        # What is left is a start and a velocity; a single frame has no velocity.
+        basis = np.concatenate([np.ones_like(t), t], axis=1)[:, : min(len(recent), 2)]
+        start = np.linalg.lstsq(basis[:-1], p - known[:-1], rcond=None)[0]
+        return renormalise(make_pose(R, basis[-1] @ start + known[-1]))
+
+    def _poses(self, since: float) -> VisualPoses:
+        """Of the frames since then that have a pose in the present map."""
+        first = bisect_left(self.tracked, since, key=lambda frame: frame.time)
+        frames = self.tracked[first:]
+        frames = frames[:: max(-(-len(frames) // FRAMES_MAX), 1)] if len(frames) > FRAMES_MAX else frames
+        found = [(frame.time, T) for frame in frames if (T := self.pose_of(frame.index)) is not None]
+        times = np.array([time for time, _ in found])
+        return VisualPoses.of_one_map(times, np.array([T for _, T in found]).reshape(-1, 4, 4))
+
+    def _calibrate(self, time: float) -> None:
+        """What cannot be found stays as it was; the whole recording is judged at its end."""
+        past = self._poses(time - PAST_S)
+        if len(past) < 2:
+            return
+        first, stop = np.searchsorted(self.samples.times, [past.times[0] - 0.6, time + 0.6])
+        near = _slice(self.samples, int(first), int(stop))
+        try:
+            self.rotation = fit_rotation(past, near)
+            self.initial = initialise(past, near, self.rotation)
+        except InertialError:
+            return
+
+
+def _slice(samples: Samples, first: int, stop: int) -> Samples:
+    chosen, between = slice(first, stop), slice(first, max(stop - 1, first))
+    return replace(
+        samples,
+        times=samples.times[chosen],
+        gyro=samples.gyro[chosen],
+        accel=samples.accel[chosen],
+        usable=samples.usable[between],
+    )
