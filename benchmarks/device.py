@@ -42,8 +42,10 @@ EXPECTED = Path(__file__).with_name("device_expected.npz")
 #: Gaussians and width of what is timed; the Numba renderer is timed up to the second number of Gaussians.
 SIZES = [(30_000, 512), (127_000, 1024), (509_000, 2048), (2_000_000, 4096)]
 NUMBA_MOST = 127_000
-#: Largest relative error against the stored answers, and against the Numba renderer (image, pose, gradients).
-STORED_LIMIT, NUMBA_LIMITS = 1e-4, {"image": 1e-3, "pose": 1e-2, "gradients": 5e-2}
+#: Largest relative error against the stored answers (of the counts: a pixel at the edge of a footprint may fall on
+#: either side), and against the Numba renderer.
+STORED_LIMIT, COUNTS_LIMIT = 1e-3, 2e-2
+NUMBA_LIMITS = {"image": 1e-3, "pose": 1e-2, "gradients": 5e-2}
 RATES = LearningRates(1e-3, 0.01, 0.01, 0.02, 0.01, lift=0.2, tilt=0.1)
 #: Width, frames and seconds that a run may take. More frames would not fit into the budget.
 RUNS = [(512, 120, 40), (1024, 80, 50), (2048, 40, 60)]
@@ -122,7 +124,8 @@ def correctness(device: Device, clock: Clock, small: bool) -> dict[str, Any]:
     again = Renderer(camera, device=device).forward(g, POSE)
     repeats = bool(np.array_equal(again.planes, renders[0].planes))
     clock.say("images repeat to the bit" if repeats else "images do not repeat to the bit")
-    ok = errors[worst] < STORED_LIMIT and all(numbas[k] < limit for k, limit in NUMBA_LIMITS.items())
+    ok = all(e < (COUNTS_LIMIT if name == "touched" else STORED_LIMIT) for name, e in errors.items())
+    ok = ok and all(numbas[k] < limit for k, limit in NUMBA_LIMITS.items())
     return {"ok": ok, "stored": errors, "numba": numbas, "images repeat": repeats}
 
 

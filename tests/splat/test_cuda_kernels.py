@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -131,6 +133,15 @@ def test_downloads_are_copies() -> None:
     copy = download(tensor)
     tensor += 1
     assert not copy.any()
+
+
+def test_the_answers_stored_for_devices_are_todays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`benchmarks/device.py --store` writes them anew."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    benchmark = importlib.import_module("device")
+    found, stored = benchmark.answers(emulated()), np.load(benchmark.EXPECTED)
+    assert set(found) == set(stored.files)
+    assert all(benchmark.relative(found[name], stored[name]) < 1e-4 for name in found)
 
 
 # -- the driver --------------------------------------------------------------------------------------------------------
