@@ -129,7 +129,8 @@ class MapOptimiser:
             render = self.renderer.forward(self.map.gaussians, view.T_wc)
             image = np.exp(-view.gain) * (view.image / np.float32(255) - view.offset)
             squared = ((np.clip(render.colour, 0, 1) - image) ** 2).mean(axis=2)
-            found.append(-10 * np.log10(float((self.weights * squared).sum() / self.weights.sum()) + 1e-12))
+            weights = self.weights if view.visible is None else self.weights * view.visible
+            found.append(-10 * np.log10(float((weights * squared).sum() / max(weights.sum(), 1e-12)) + 1e-12))
         return float(np.mean(found)) if found else float("nan")
 
     def polish(self, iterations: int, views: list[View] | None = None) -> None:
