@@ -62,7 +62,7 @@ class Panorama:
         if right > 1:  # it goes on beyond the seam
             u = np.where(u < left, u + 1, u)
         place = np.stack([(u - left) / (right - left), (v - top) / (bottom - top)], axis=-1)
-        return place, ((place >= 0) & (place <= 1)).all(axis=-1)
+        return place, np.asarray(((place >= 0) & (place <= 1)).all(axis=-1))
 
 
 @dataclass(frozen=True)
