@@ -14,6 +14,8 @@ from panobench.layouts.cells import Cube, Packing, Panorama
 Array = NDArray[np.float64]
 Size = tuple[int, int]
 WHOLE = (0.0, 0.0, 1.0, 1.0)
+#: The widest panorama that is made, whatever part of it a file claims to hold; and of a mask as it is computed.
+_MAX_WIDTH, _MASK_WIDTH = 16384, 2048
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Layout:
         """(width, height) of the panorama that a picture of this size holds: twice as wide as high."""
         left, _, right, _ = self.part
         across = (right - left) * width / self.packing.turns
-        half = max(1, round(across / 2))
+        half = min(max(1, round(across / 2)), _MAX_WIDTH // 2)
         return 2 * half, half
 
     def picture_size(self, stored: Size, panorama: Size) -> Size:
@@ -73,9 +75,13 @@ class Layout:
 
     def seen(self, size: Size) -> NDArray[np.bool_]:
         """Which pixels (H, W) of a panorama of ``size`` the picture holds."""
-        if self.plain:
+        if self.plain or isinstance(self.packing, Cube):
             return np.ones((size[1], size[0]), dtype=bool)
-        return _places(self, (4096, 2048), size)[2]
+        import cv2
+
+        small = min(size[0], _MASK_WIDTH)
+        seen = _places(self, (4096, 2048), (small, max(1, small // 2)))[2]
+        return cv2.resize(seen.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
 
 
 @lru_cache(maxsize=4)

@@ -20,7 +20,8 @@ _SIDE_BY_SIDE, _TOP_BOTTOM = 1, 2
 #: Of a file's head and its end that is searched for XMP, and the largest list of boxes that is read.
 _XMP_BYTES = 1 << 20
 _MAX_MOOV = 64 << 20
-_UUID = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
+#: Type of the box that has the XML of spherical video, version 1.
+SPHERICAL_UUID = bytes.fromhex("ffcc8263f8554a938814587a02521fdd")
 
 
 @dataclass(frozen=True)
@@ -179,7 +180,7 @@ def _track_xml(path: Path) -> str:
 
 def xml_of_moov(moov: bytes) -> str:
     """The spherical XML among the boxes of a film's header; "" if there is none."""
-    at = moov.find(b"uuid" + _UUID)
+    at = moov.find(b"uuid" + SPHERICAL_UUID)
     if at < 4:
         return ""
     size = struct.unpack(">I", moov[at - 4 : at])[0]

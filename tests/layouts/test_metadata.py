@@ -135,6 +135,16 @@ def test_the_first_version_of_the_metadata(tmp_path: Path) -> None:
     assert "a part of the sphere, 225 by 90 degrees" in sequence.remarks()[0]
 
 
+def test_a_crop_of_next_to_nothing_makes_no_giant() -> None:
+    layout = from_xmp(
+        b'GPano:FullPanoWidthPixels="1e8" GPano:FullPanoHeightPixels="5e7" GPano:CroppedAreaImageWidthPixels="640" '
+        b'GPano:CroppedAreaImageHeightPixels="320" GPano:CroppedAreaLeftPixels="9" GPano:CroppedAreaTopPixels="9"'
+    ).layout
+    assert layout is not None
+    assert layout.panorama_size(640, 320) == (16384, 8192)
+    assert layout.seen((16384, 8192)).shape == (8192, 16384)
+
+
 @pytest.mark.parametrize("name", ["moov", "uuid", ""])
 def test_broken_metadata_are_none(tmp_path: Path, name: str) -> None:
     path = clip(tmp_path / "v.mp4", [0, 0.1], size=SIZE, frame=lambda i, size: world())
