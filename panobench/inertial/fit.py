@@ -185,9 +185,11 @@ class _Problem:
         return graph, inertial
 
     def _add_gauge(self, graph: gtsam.NonlinearFactorGraph) -> None:
-        """Where the world begins and its heading; gravity fixes roll and pitch a thousand times more firmly."""
-        sigmas = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([0.5, 1e-3], 3))
-        graph.add(gtsam.PriorFactorPose3(X(0), _pose(self.nodes.T_wb[0]), sigmas))
+        """Where the world begins and its heading; what is known of roll and pitch is left to gravity."""
+        T = self.nodes.T_wb[0]
+        covariance = np.diag(np.repeat([0.0, 1e-6], 3))
+        covariance[:3, :3] = T[:3, :3].T @ np.diag([0.25, 0.25, 1e-6]) @ T[:3, :3]  # in the body's axes
+        graph.add(gtsam.PriorFactorPose3(X(0), _pose(T), gtsam.noiseModel.Gaussian.Covariance(covariance)))
         biases = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([0.3, 0.05], 3))
         graph.add(gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), biases))
 

@@ -80,6 +80,17 @@ def test_two_maps_with_their_own_scales_become_one_trajectory() -> None:
     )  # each map's scale is known to half a percent of 20 m
 
 
+def test_a_few_seconds_know_their_uncertainty() -> None:
+    """The scale of four seconds is uncertain, and the fit can tell by how much."""
+    pytest.importorskip("gtsam")
+    from panobench.inertial.fusion import fuse
+
+    recording = record(walk(4.0, seed=6), 4.0, fps=15.0, rate_hz=200.0)
+    found = fuse(seen(recording, noise_m=0.001), recording.imu)
+    assert 0.001 < found.scale_sigma < 0.05
+    assert abs(np.log(found.scale * 0.37)) < 3 * found.scale_sigma
+
+
 def test_wrong_accelerations_do_not_become_a_scale() -> None:
     """The gyroscope is right, the accelerometer is another recording's."""
     recording, other = record(walk(20.0), 20.0, rate_hz=200.0), record(walk(20.0, seed=9), 20.0, rate_hz=200.0)
