@@ -46,12 +46,16 @@ def _side_data() -> Material:
 
 
 def _used(found: object) -> None:
-    """Whatever metadata describe has to be usable: places in the picture, the panorama's size."""
+    """Whatever metadata describe has to be usable: places in the picture, the panorama's size.
+
+    Raises DatasetError where they describe nothing that is read.
+    """
+    from panobench.errors import DatasetError
     from panobench.layouts.metadata import Said
 
     assert isinstance(found, Said)
-    if found.layout is None:
-        return
+    if found.layout is None:  # a recording without metadata is looked at instead
+        raise DatasetError(found.unreadable or "they say nothing")
     layout = found.layout.fitted(_SIZE)
     width, height = layout.panorama_size(*_SIZE)
     assert 0 < width == 2 * height <= 1 << 14
@@ -67,8 +71,8 @@ def _parse_xmp(path: Path) -> None:
 def _parse_xml(path: Path) -> None:
     from panobench.layouts.metadata import from_xml, from_xml_text
 
-    _used(from_xml(path))
-    _used(from_xml_text(path.read_bytes().decode("utf-8", "replace")))
+    data = path.read_bytes()
+    _used(from_xml_text(data.decode("utf-8", "replace")) if data[:1] == b"<" else from_xml(path))
 
 
 def _parse_side_data(path: Path) -> None:
