@@ -29,12 +29,12 @@ def find_runs(root: Path) -> dict[str, Path]:
 
 
 def _runs(base: Path) -> list[Path]:
-    days = [day for floor in _folders(base, "floor_") for day in _folders(floor, "")]
-    return [run for day in days for run in _folders(day, "run_")]
+    days = [day for floor in _folders(base, r"floor_\w+") for day in _folders(floor, r"[\d-]+")]
+    return [run for day in days for run in _folders(day, r"run_\d+")]
 
 
-def _folders(base: Path, start: str) -> list[Path]:
-    return natural_paths(p for p in children(base) if p.is_dir() and p.name.startswith(start))
+def _folders(base: Path, name: str) -> list[Path]:
+    return natural_paths(p for p in children(base) if p.is_dir() and re.fullmatch(name, p.name))
 
 
 def run_name(path: Path) -> str:
