@@ -191,6 +191,8 @@ def read_recording(run: Path, name: str, calibration: HiltiCalibration) -> Recor
     said = [f"{alone} pictures of one lens have none of the other and are left out"] if alone else []
     for lens, contents in enumerate((front, back)):
         said += [f"cam{lens}: {line}" for line in contents.remarks()]
+    if truth_path is not None:
+        said.append(f"the first {UNJUDGED_S:g} s are not judged, as the organisers do not")
     if imu_topic is None or not len(front.imu.values):
         said.append(f"there are no inertial samples on {IMU_TOPIC}")
     return Recording(
