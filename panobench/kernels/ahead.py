@@ -67,14 +67,15 @@ Progress = Callable[[int, int], None]
 def entry_points(method: str | None = None, kind: str | None = None, dataset: str | None = None) -> list[EntryPoint]:
     """The recorded kernels of a method with a kind of camera (None: any), and of a dataset; all without a method.
 
-    Those that take longest come first.
+    For a kind that was not recorded, those of any kind: most are the same. Those that take longest come first.
     """
     rows = json.loads(RECORD.read_text(encoding="utf-8"))["entry_points"]
     found = [EntryPoint(r["function"], r["arguments"], r["seconds"], tuple(r["users"])) for r in rows]
     if method is None:
         return found
     exactly = {dataset, f"{method}/{kind}"}
-    prefix = f"{method}/" if kind is None else "\0"
+    recorded = any(f"{method}/{kind}" in e.users for e in found)
+    prefix = "\0" if recorded else f"{method}/"
     return [e for e in found if exactly & set(e.users) or any(user.startswith(prefix) for user in e.users)]
 
 

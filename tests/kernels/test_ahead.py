@@ -142,6 +142,7 @@ def test_the_record_names_kernels_that_exist_and_whose_types_can_be_read() -> No
     assert all(parse(e.arguments) for e in found)
     assert ahead.entry_points("panogs", "erp", "rooms")
     assert set(ahead.entry_points("panogs", "erp")) <= set(ahead.entry_points("panogs", None))
+    assert set(ahead.entry_points("panogs", "no-such-camera")) == set(ahead.entry_points("panogs", None))
     assert ahead.entry_points("nobody's", "erp", "nothing") == []
 
 
