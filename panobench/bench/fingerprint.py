@@ -59,13 +59,17 @@ def code_fingerprint(implementations: Iterable[str]) -> str:
 
 
 def environment_fingerprint() -> dict[str, str]:
-    """Versions of Python and of the packages that compute."""
+    """Versions of Python and of the packages that compute, and whether there is a GPU."""
     found = {"python": ".".join(platform.python_version_tuple()[:2])}
     for name in NUMERICAL_PACKAGES:
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
+    from panobench.splat.backend import driver_present
+
+    if driver_present():  # --device auto may compute elsewhere than without it
+        found["gpu"] = "cuda"
     return found
 
 

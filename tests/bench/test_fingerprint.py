@@ -118,3 +118,17 @@ def test_files_are_read_once_while_a_suite_is_planned(tmp_path: Path, monkeypatc
     os.utime(files[1], ns=(1, 1))
     assert checksums.files_provenance(files)["sha256"] != first["sha256"]
     assert read == ["a", "b", "b"]
+
+
+def test_results_of_a_machine_with_a_gpu_are_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    from panobench.splat import backend
+
+    monkeypatch.setattr(backend, "driver_present", lambda: False)
+    without = fingerprint.environment_fingerprint()
+    assert "gpu" not in without
+    monkeypatch.setattr(backend, "driver_present", lambda: True)
+    assert fingerprint.environment_fingerprint() == {**without, "gpu": "cuda"}
+
+
+def test_the_code_of_a_gpus_kernels_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "__global__" in (fingerprint._source("panobench.gpu") or "")
