@@ -115,7 +115,7 @@ class MovingOptions(Options):
 
     enabled: bool = option(True, "leave out of the map what later frames do not confirm")
     error: float = option(0.16, "colour error from which a frame contradicts the map", unit="of 1")
-    share: float = option(0.02, "share of a frame that must contradict the map for anything to be left out")
+    share: float = option(0.012, "share of a frame that must have changed for anything to be left out")
     confirmed: float = option(0.03, "mean difference up to which later frames confirm what a frame shows", unit="of 1")
 
 

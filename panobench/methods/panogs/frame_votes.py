@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -17,12 +18,16 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.photometric.stereo import WorkingScale
+from panobench.splat.render import Render
 from panobench.types import Frame
 
 #: Width of the images kept, and how many.
 WIDTH, FRAMES = 128, 80
 #: Largest mean difference of the colours (of 1) of the same thing.
 ALIKE = 0.07
+#: Frames asked whether something has changed, and the fewest that can tell; the share that must have seen it as it was,
+#: and the most that may have seen it as it is.
+SAMPLE, FEWEST, OFTEN = 20, 6, 0.3
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,8 @@ class FrameVotes:
     def __init__(self, camera: Camera, trajectory: AnchoredTrajectory) -> None:
         self.scale, self.trajectory = WorkingScale.of(camera, WIDTH), trajectory
         self._frames: deque[_Kept] = deque(maxlen=FRAMES)
+        area = np.where(self.scale.valid, self.scale.camera.solid_angle(), 0.0)
+        self._area = area / area.sum()
 
     def add(self, frame: Frame) -> None:
         """A frame that was tracked."""
@@ -56,12 +63,35 @@ class FrameVotes:
         """An image or mask (H, W) at that size, by the nearest pixel."""
         return np.asarray(cv2.resize(image, self.scale.valid.shape[::-1], interpolation=cv2.INTER_NEAREST))
 
+    def moved(
+        self, T_wc: NDArray[np.float64], render: Render, image: NDArray[np.uint8], where: NDArray[np.bool_]
+    ) -> float:
+        """Share of the view, within ``where`` (H, W), that frames have shown as the map has it, and now look different.
+
+        Where the map is merely wrong they never did. render: from ``T_wc``; image (H, W, 3): seen from there.
+        """
+        every = max(len(self._frames) // SAMPLE, 1)
+        count = len(range(0, len(self._frames), every))
+        small = self.small(where.view(np.uint8)) > 0
+        if count < FEWEST or not small.any():
+            return 0.0
+        depth, drawn = self.small(render.expected_depth(0.5)), self.soft(np.ascontiguousarray(255 * render.colour))
+        as_drawn = self.count(T_wc, small, depth, drawn, every)
+        as_seen = self.count(T_wc, small, depth, self.soft(image), every)
+        changed = (as_drawn > OFTEN * count) & (as_seen < OFTEN * count)
+        return float(self._area[small][changed].sum())
+
     def count(
-        self, T_wc: NDArray[np.float64], where: NDArray[np.bool_], depth: NDArray[np.float32], image: NDArray
+        self,
+        T_wc: NDArray[np.float64],
+        where: NDArray[np.bool_],
+        depth: NDArray[np.float32],
+        image: NDArray,
+        every: int = 1,
     ) -> NDArray[np.int32]:
         """(n,): for each pixel ``where`` (h, w), how many frames show there what a view from ``T_wc`` does.
 
-        depth, image (h, w[, 3]): of that view, radial and of 0..255.
+        depth, image (h, w[, 3]): of that view, radial and of 0..255. every: only one of so many frames is asked.
         """
         distance = depth[where].astype(np.float64)
         known = np.isfinite(distance)
@@ -70,7 +100,7 @@ class FrameVotes:
         colour = image[where].astype(np.float32)
         votes = np.zeros(len(points), np.int32)
         h, w = where.shape
-        for kept in self._frames:
+        for kept in islice(self._frames, 0, None, every):
             T = self.trajectory.get(kept.index)
             if T is None:
                 continue

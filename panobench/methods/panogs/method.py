@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from enum import Enum
+from functools import partial
 from typing import Any
 
 import cv2
@@ -181,7 +182,8 @@ class PanogsMethod(OnlineMethod):
         if buffered:
             self.graph.add(frame.index, buffered.fine)
         self.lag.votes.add(frame)
-        self.tracker.hidden = hidden = self.mapper.transients.look(frame.image, tracked.render)
+        moved = partial(self.lag.votes.moved, tracked.T_wc, tracked.render, frame.image)
+        self.tracker.hidden = hidden = self.mapper.transients.look(frame.image, tracked.render, moved)
         if hidden is not None:
             self._note(frame, contradicts=self.mapper.weights[hidden].sum())
 

@@ -7,6 +7,7 @@ and what they do not agree on is left out.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -26,14 +27,16 @@ _BLUR, _NARROWEST = 5, 48
 _KNOWN, _WIDEN = 0.5, 2
 #: Share of the error that counts at the border of an area.
 _FAINT = 0.5
+#: Frames running in which something must have moved: when the view opens into another room, a few look like it.
+_FRAMES = 5
 
 
 @dataclass
 class Transients:
     """weights (H, W): of the loss, sum 1. error: mean colour error (of 1) from which a pixel contradicts the map.
 
-    share: of the view that must contradict the map in one frame for anything to be left out. Until then, ``active`` is
-    False and nothing is different.
+    share: of the view that must have changed, in a few frames running, for anything to be left out. Until then,
+    ``active`` is False and nothing is different.
     """
 
     weights: F32
@@ -41,16 +44,22 @@ class Transients:
     share: float
     wrap: bool
     active: bool = False
+    changed_for: int = 0
 
     def __post_init__(self) -> None:
         self._pad = self.weights.shape[1] // 16 if self.wrap else 0
         self._side = max(self.weights.shape[1] // _NARROWEST, 3)
 
-    def look(self, image: NDArray[np.uint8], render: Render) -> Mask | None:
-        """(H, W): where a frame (H, W, 3) contradicts a render at its pose; None where nothing has moved so far."""
+    def look(self, image: NDArray[np.uint8], render: Render, moved: Callable[[Mask], float]) -> Mask | None:
+        """(H, W): where a frame (H, W, 3) contradicts a render at its pose; None where nothing has moved so far.
+
+        moved: which share of the view in a mask (H, W) has changed, and was not drawn wrong all along.
+        """
         if not self.active and self.share < 1:
             core = self._unpadded(self._core(self._error(image, render), render) > 0)
-            self.active = float(self.weights[core].sum()) > self.share
+            changed = float(self.weights[core].sum()) > self.share and moved(core) > self.share
+            self.changed_for = self.changed_for + 1 if changed else 0
+            self.active = self.changed_for >= _FRAMES
         return self.contradicted(image, render) if self.active else None
 
     def contradicted(self, image: NDArray[np.uint8], render: Render) -> Mask:

@@ -55,8 +55,11 @@ def test_what_the_map_does_not_know_cannot_be_contradicted() -> None:
     assert not transients().contradicted(frame(slice(40, 60), list(range(80, 100))), unknown).any()
 
 
-@pytest.mark.parametrize(("size", "moved"), [(8, False), (40, True)])
-def test_nothing_is_left_out_until_enough_has_moved(size: int, moved: bool) -> None:
+@pytest.mark.parametrize(("size", "changed", "active"), [(8, 1.0, False), (40, 0.0, False), (40, 1.0, True)])
+def test_nothing_is_left_out_until_enough_has_moved(size: int, changed: float, active: bool) -> None:
     subject = transients(share=0.02)
-    found = subject.look(frame(slice(30, 30 + size), list(range(80, 80 + size))), render())
-    assert (found is not None) == moved == subject.active
+    image = frame(slice(30, 30 + size), list(range(80, 80 + size)))
+    for _ in range(4):
+        assert subject.look(image, render(), lambda where: changed) is None
+    found = subject.look(image, render(), lambda where: changed)
+    assert (found is not None) == active == subject.active
