@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.calibration import calibration_file
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.given import Given
 from panobench.datasets.guess import guess
@@ -58,7 +59,7 @@ def camera_of_image(option: str, size: tuple[int, int], path: Path) -> Camera:
 
     Raises UsageError, UnknownNameError or CalibrationError.
     """
-    from panobench.cameras.calibration import builtin_calibration, calibration_file, read_calibration, require_size
+    from panobench.cameras.calibration import builtin_calibration, read_calibration, require_size
 
     width, height = size
     if calibration_file(option) is not None:
@@ -134,8 +135,8 @@ def open_anything(
         name, root = found.dataset, found.root
     if camera is not None:
         if "calibration" not in registry().get(DatasetSpec, name).load().takes:
-            raise UsageError(
-                f"--camera is for single images, folders of images and bags; a sequence of '{name}' has its own camera"
-            )
+            raise UsageError(f"--camera is for images, videos and bags; a sequence of '{name}' has its own camera")
+        if calibration_file(camera) is None:
+            raise UsageError(f"--camera {camera}: models are for single images, a sequence takes a calibration file")
         given = replace(given, calibration=camera)
     return open_sequence(name, sequence, root, given=given)

@@ -118,7 +118,7 @@ def test_a_cubemap_as_a_panorama(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (("none.png",), "no such file"),
-        (("photo.png",), "no panorama: say with --camera"),
+        (("photo.png",), "or with --camera what took it (erp,"),
         (("photo.png", "--camera", "pinhole"), "pinhole:90"),
         (("photo.png", "--camera", "pinhole:200"), "below 180 degrees"),
         (("photo.png", "--camera", "fish:90"), "did you mean"),
@@ -128,7 +128,7 @@ def test_a_cubemap_as_a_panorama(tmp_path: Path) -> None:
         (("notes.md",), "nothing here that is read"),
         (("broken.png",), "truncated"),
         (("photo.png", "--camera", "pinhole:60", "--as", "pinhole:back"), "sees nothing"),
-        (("walk.mp4", "--camera", "erp"), "--camera is for single images"),
+        (("walk.mp4", "--camera", "erp"), "models are for single images"),
     ],
 )
 def test_bad_input(
