@@ -41,8 +41,12 @@ class ExposureOptions(Options):
 class RollingShutterOptions(Options):
     """Rectifying frames whose rows are read one after another."""
 
-    readout_ms: float = option(0.0, "time from the first row of a lens to its last; 0: global shutter", unit="ms")
-    least_px: float = option(0.05, "least distance a pixel is moved for", unit="px", above=0)
+    readout_ms: float | None = option(
+        0.0,
+        "time from the first row of a lens to its last; 0: global shutter; none: estimated",
+        unit="ms",
+    )
+    least_px: float = option(0.02, "least distance a pixel is moved for", unit="px", above=0)
 
 
 @dataclass(frozen=True)

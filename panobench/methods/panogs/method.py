@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.row_times import rates_along
 from panobench.geometry import invert_pose
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.maps.saved import SavedMap
@@ -44,6 +45,8 @@ from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 Pose = NDArray[np.float64]
 #: Standard deviation, in 8-bit levels, below which a frame shows nothing.
 BLANK_LEVELS = 1.0
+#: From so many frames an unknown readout of a rolling shutter is estimated.
+READOUT_FRAMES = 20
 
 
 class Phase(Enum):
@@ -97,6 +100,7 @@ class PanogsMethod(OnlineMethod):
             self.estimator.start(camera, context.seed)
         self.first_depth: DepthEstimate | None = None
         self.waiting: list[Frame] = []
+        self.held: DepthEstimate | None = None  # while more frames have to tell the readout
         self.before_first: list[Frame] = []  # frames before the one whose depth the map starts from
         self.numbers: dict[int, dict[str, float]] = {}
         if context.saved_map is not None:
@@ -150,7 +154,7 @@ class PanogsMethod(OnlineMethod):
 
     def _track(self, frame: Frame) -> tuple[Frame, Tracked]:
         """Align the frame to the map; with a rolling shutter, the frame as a global one would have seen it."""
-        gaussians, given, rate = self.mapper.map.gaussians, frame.image, self.shutter.predicted_rate()
+        gaussians, given, rate = self.mapper.map.gaussians, frame.image, self.shutter.predicted_rate(frame.index)
         frame = replace(frame, image=self.shutter.rectified(given, rate)) if self.shutter.enabled else frame
         expected = self.inertial.expect(frame.time)
         if expected is not None:
@@ -160,11 +164,14 @@ class PanogsMethod(OnlineMethod):
                 self.tracker.expect(expected)
         before = self.tracker.T_last
         tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
-        measured = self.shutter.measured_rate(frame.time, tracked.T_wc)
-        if self.shutter.enabled and self.shutter.differ(measured, rate) and before is not None:
-            frame = replace(frame, image=self.shutter.rectified(given, measured))
-            self.tracker.reset(before, invert_pose(before) @ tracked.T_wc)
-            tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
+        if self.shutter.enabled and before is not None:
+            measured, velocity = self.shutter.measured(frame.index, frame.time, tracked.T_wc)
+            travels = self.shutter.travels(velocity, self.mapper.local_depth(tracked.render))
+            if travels or self.shutter.differ(measured, rate):
+                depth_map = tracked.render.expected_depth(0.5)
+                frame = replace(frame, image=self.shutter.rectified(given, measured, velocity, depth_map))
+                self.tracker.reset(before, invert_pose(before) @ tracked.T_wc)
+                tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
         return frame, tracked
 
     def _at_map_exposure(self, frame: Frame, tracked: Tracked) -> Frame:
@@ -224,13 +231,19 @@ class PanogsMethod(OnlineMethod):
                 return
             self.exposure.start(frame.image)
         self.waiting.append(frame)
+        if self.held is not None:
+            if len(self.waiting) >= READOUT_FRAMES:
+                self._initialise(self.held)
+            return
         if self.estimator is None:
             shape = frame.image.shape[:2]
             depth_map = np.full(shape, self.config.start.constant_depth, np.float32)
             self._initialise(DepthEstimate(depth_map, frame.index))
             return
         estimate = self.estimator.add(replace(frame, image=self.exposure.before(frame.image)))
-        if estimate is not None:
+        if estimate is not None and self.shutter.unknown and len(self.waiting) < READOUT_FRAMES:
+            self.held = estimate
+        elif estimate is not None:
             self._initialise(estimate)
 
     def _initialise(self, estimate: DepthEstimate) -> None:
@@ -239,8 +252,9 @@ class PanogsMethod(OnlineMethod):
         self._enter(Phase.TRACKING)
         if estimate.message:
             (self.context.log if estimate.ok else self.context.warn)(estimate.message)
-        waiting, self.waiting = self.waiting, []
+        waiting, self.waiting, self.held = self.waiting, [], None
         rectified = waiting
+        self.shutter.estimate(waiting, self.context.seed, self.context.log)
         if self.shutter.enabled and len(estimate.T_wc) > 2:
             rectified, estimate = self._estimate_rectified(waiting, estimate)
             self.first_depth = estimate
@@ -267,17 +281,28 @@ class PanogsMethod(OnlineMethod):
         """The waiting frames, rectified by the poses of a first estimate as far as they go, and their own estimate."""
         posed = [f for f in waiting if f.index in estimate.T_wc]
         T_wc = np.stack([estimate.T_wc[f.index] for f in posed])
-        rates = self.shutter.rates_along(np.array([f.time for f in posed]), T_wc)
+        rates = rates_along(np.array([f.time for f in posed]), T_wc)
         images = {f.index: self.shutter.rectified(f.image, rate) for f, rate in zip(posed, rates)}
         frames = [replace(f, image=images[f.index]) for f in posed]
         assert self.context.make_depth is not None
         estimator = self.context.make_depth()
         estimator.start(self.camera, self.context.seed)
+        found: DepthEstimate | None = None
         for frame in frames:
             found = estimator.add(replace(frame, image=self.exposure.before(frame.image)))
             if found is not None:
-                return frames, found
-        return frames, estimator.finish() or estimate
+                break
+        found = found or estimator.finish() or estimate
+        if len(found.T_wc) > 2:
+            self.shutter.know(waiting, found.T_wc)
+        return [self._first_rectified(f, found) if f.index == found.frame_index else f for f in waiting], found
+
+    def _first_rectified(self, frame: Frame, estimate: DepthEstimate) -> Frame:
+        """The frame whose depth the map starts from."""
+        motion = self.shutter.motion(frame.index)
+        if motion is None:
+            return frame
+        return replace(frame, image=self.shutter.rectified(frame.image, *motion, estimate.depth))
 
     def _go_on(self, saved: SavedMap) -> None:
         """Start lost in a saved map: the first frames are looked for in it."""
@@ -294,7 +319,7 @@ class PanogsMethod(OnlineMethod):
     def finish(self) -> Estimate:
         self.phase = Phase.FINISHING
         if self.waiting and self.estimator is not None:
-            estimate = self.estimator.finish()
+            estimate = self.held or self.estimator.finish()
             if estimate is not None:
                 self._initialise(estimate)
         self.jobs.finish()
@@ -313,6 +338,7 @@ class PanogsMethod(OnlineMethod):
             "gaussians": len(gaussians),
             "projection": self._projection,
             "moving": self.mapper.transients.active,
+            "readout_ms": round(1e3 * self.shutter.readout_s, 2),
         }
         if self.inertial.enabled:
             extra["inertial"] = self.inertial.numbers

@@ -12,6 +12,7 @@ from panobench.cameras.row_times import row_times
 from panobench.geometry import make_pose, so3_exp
 from panobench.methods.panogs.config import RollingShutterOptions
 from panobench.methods.panogs.rolling_shutter import RollingShutter, resampled
+from panobench.types import Frame
 
 READOUT = 0.02
 OPTIONS = RollingShutterOptions(readout_ms=1e3 * READOUT)
@@ -55,6 +56,41 @@ def test_resampling_puts_pixels_where_they_belong(shift: float) -> None:
     assert found == pytest.approx(shift, abs=0.005)
 
 
+def test_what_the_camera_travels_is_undone_where_depth_is_known() -> None:
+    """In the middle of a painted sphere of radius 2, at 1.5 a second and turning."""
+    camera, rate, velocity = ErpCamera(256, 128), np.array([0.0, 2.0, 0.5]), np.array([1.2, -0.4, 0.8])
+    rays = camera.rays()
+    seconds = READOUT * row_times(camera, rays)
+    d = np.einsum("hwij,hwj->hwi", so3_exp(rate * seconds[..., None]), rays)
+    start = velocity * seconds[..., None]
+    along = (d * start).sum(axis=-1, keepdims=True)
+    hit = start + (np.sqrt(along**2 + 4.0 - np.square(start).sum(axis=-1, keepdims=True)) - along) * d
+    image = np.clip(world(hit / 2.0), 0, 255).astype(np.uint8)
+    still = seen(camera, np.zeros(3)).astype(float)
+    shutter, depth_map = RollingShutter(camera, OPTIONS), np.full((128, 256), 2.0, np.float32)
+    turned = np.abs(shutter.rectified(image, rate) - still).mean()
+    both = np.abs(shutter.rectified(image, rate, velocity, depth_map) - still).mean()
+    unknown = shutter.rectified(image, rate, velocity, np.full_like(depth_map, np.nan))
+    assert both < 0.5 < 0.5 * turned
+    np.testing.assert_array_equal(unknown, shutter.rectified(image, rate))
+
+
+def test_motion_at_the_start_is_that_of_its_poses() -> None:
+    times = np.arange(5) / 10
+    frames = [Frame(i, float(t), np.zeros((2, 4, 3), np.uint8)) for i, t in enumerate(times)]
+    T_wc = {
+        i: make_pose(so3_exp(np.array([0.0, t * t, 0.0])), np.array([0.0, 0.0, t * t])) for i, t in enumerate(times)
+    }
+    shutter = RollingShutter(ErpCamera(64, 32), OPTIONS)
+    shutter.know(frames, {i: T for i, T in T_wc.items() if i != 4})
+    np.testing.assert_allclose(shutter.predicted_rate(0), 0, atol=1e-9)
+    np.testing.assert_allclose(shutter.predicted_rate(3), [0, 0.6, 0], atol=1e-9)
+    rate, velocity = shutter.measured(3, 0.3, T_wc[3])
+    np.testing.assert_allclose(rate, [0, 0.6, 0], atol=1e-9)
+    np.testing.assert_allclose(velocity, T_wc[3][:3, :3].T @ [0, 0, 0.6], atol=1e-9)
+    assert shutter.motion(4) is None
+
+
 def test_a_global_shutter_and_a_still_camera_leave_the_image_alone() -> None:
     camera = ErpCamera(64, 32)
     image = seen(camera, np.zeros(3))
@@ -70,14 +106,18 @@ def test_rates_follow_an_accelerating_camera_in_either_order(direction: int) -> 
     shutter = RollingShutter(ErpCamera(64, 32), OPTIONS)
     for t, T in list(zip(times, poses))[:-1]:
         shutter.record(float(t), T)
-    np.testing.assert_allclose(shutter.predicted_rate(), [0, a * times[-1], 0], atol=1e-6)
-    np.testing.assert_allclose(shutter.measured_rate(float(times[-1]), poses[-1]), [0, a * times[-1], 0], atol=1e-6)
+    np.testing.assert_allclose(shutter.predicted_rate(9), [0, a * times[-1], 0], atol=1e-6)
+    np.testing.assert_allclose(shutter.measured(9, float(times[-1]), poses[-1])[0], [0, a * times[-1], 0], atol=1e-6)
     shutter.forget()
-    assert not shutter.predicted_rate().any()
+    assert not shutter.predicted_rate(9).any()
 
 
-def test_rates_along_poses_are_central() -> None:
-    t = np.arange(5) / 10
-    T = np.stack([make_pose(so3_exp(np.array([0.0, 0.0, 2.0 * s * s])), np.zeros(3)) for s in t])
-    np.testing.assert_allclose(RollingShutter.rates_along(t, T)[:, 2], 4.0 * t, atol=1e-6)
-    assert RollingShutter.rates_along(t[:2], T[:2]).shape == (2, 3)
+def test_a_rate_is_measured_on_the_parabola_through_the_last_three() -> None:
+    """Yaw t^3: the mean rates between frames are those of a parabola, off by a constant."""
+    times = np.arange(5) / 15
+    poses = [make_pose(so3_exp(np.array([0.0, t**3, 0.0])), np.zeros(3)) for t in times]
+    shutter = RollingShutter(ErpCamera(64, 32), OPTIONS)
+    for t, T in list(zip(times, poses))[:-1]:
+        shutter.record(float(t), T)
+    exact, step = 3 * times[-1] ** 2, 1 / 15
+    assert shutter.measured(9, float(times[-1]), poses[-1])[0][1] == pytest.approx(exact + step**2 / 4, abs=1e-9)
