@@ -43,8 +43,10 @@ def shared_counts(m: PointMap, keyframe: Keyframe) -> NDArray[np.int64]:
     return np.array([int(mine[k.points].sum()) for k in m.keyframes])
 
 
-def detect_loop(aligner: Aligner, pyramid: Pyramid, keyframe: Keyframe, rng: np.random.Generator) -> Loop | None:
-    """The loop that closes at this keyframe, or None."""
+def detect_loop(
+    aligner: Aligner, pyramid: Pyramid, keyframe: Keyframe, rng: np.random.Generator, *, keep_scale: bool = False
+) -> Loop | None:
+    """The loop that closes at this keyframe, or None. keep_scale: the correction is rigid."""
     m, focal = aligner.map, aligner.face_set.focal
     shared = shared_counts(m, keyframe)
     numbers = np.arange(len(shared))
@@ -86,8 +88,8 @@ def detect_loop(aligner: Aligner, pyramid: Pyramid, keyframe: Keyframe, rng: np.
     if seen is None:
         return None
     # Rotation and translation are taken from the alignment, which is more accurate; the scale from the matches, but for
-    # a rig, whose scale does not drift.
-    scale = 1.0 if m.lenses.several else S.scale
+    # rigs and where there is an IMU: their scale does not drift, or is mended elsewhere.
+    scale = 1.0 if keep_scale else S.scale
     T_now = invert_pose(seen.T_cw)
     R = T_now[:3, :3] @ keyframe.T_cw[:3, :3]
     t = T_now[:3, 3] - scale * R @ centres[keyframe.number]

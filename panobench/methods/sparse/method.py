@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.geometry import invert_pose, make_pose, renormalise
+from panobench.geometry import invert_pose, make_pose, renormalise, so3_log
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.sparse.adjust import pose_errors, solve_pose
@@ -51,8 +51,8 @@ YOUNG_MAP = 6
 LOOP_INTERVAL = 8
 #: Rounds of turning bearings by the trajectory's angular velocities and adjusting it.
 SHUTTER_ROUNDS = 2
-#: With an IMU, which tells the scale everywhere, a loop that changes it by more than this (logarithm) is not closed.
-LOOP_SCALE = 0.05
+#: With an IMU, which knows the camera's rotation, a loop that corrects it by more than this is not closed.
+LOOP_TURN_DEG = 3.0
 #: Face sizes are multiples of 2^(MAX_LEVELS - 1).
 MAX_LEVELS = 5
 
@@ -272,13 +272,13 @@ class SparseMethod(OnlineMethod):
 
     def _close_loop(self, session: Session, pyramid: Pyramid, key: Keyframe) -> None:
         m = session.map
-        loop = detect_loop(self._aligner(session), pyramid, key, self.rng)
+        known = m.lenses.several or self.inertial.knows_scale
+        loop = detect_loop(self._aligner(session), pyramid, key, self.rng, keep_scale=known)
         if loop is None:
             return
-        if self.inertial.knows_scale and abs(np.log(loop.correction.scale)) > LOOP_SCALE:
-            self.context.log(
-                f"frame {key.frame}: a loop that changes the scale by {loop.correction.scale:.3f} is refused"
-            )
+        turned = float(np.degrees(np.linalg.norm(so3_log(loop.correction.R))))
+        if self.inertial.knows_scale and turned > LOOP_TURN_DEG:
+            self.context.log(f"frame {key.frame}: a loop that turns the camera by {turned:.1f} degrees is refused")
             return
         scales = close_loop(m, loop, session.records, self.face_set.focal)
         adjust_window(m, self.config, self.face_set.focal, [k.number for k in m.keyframes], 10)
