@@ -55,6 +55,8 @@ class _Subject:
     def make(self) -> OnlineMethod | BatchMethod:
         if self.unavailable is not None:
             raise Skipped(self.unavailable)
+        if self.spec.needs_map:
+            raise Skipped("it needs a saved map, which these checks do not make")
         return make_method(self.spec, preset=self.options.preset)
 
     def run(self, sequence: FrameSequence, work: Path | None = None, idle_s: float = 0.0) -> MethodRun:
