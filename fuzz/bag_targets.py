@@ -171,14 +171,17 @@ def _message(kind: str) -> Callable[[Path], Parse]:
 
 
 def _metadata(folder: Path) -> Parse:
-    from panobench.datasets.bags.layout import find_bags, storage_files
+    from panobench.datasets.bags.layout import _named, find_bags, storage_files
+    from panobench.errors import DatasetError
 
-    (folder / "a").mkdir()
+    (folder / "a").mkdir(exist_ok=True)
     (folder / "a" / "a_0.db3").touch()
 
     def parse(path: Path) -> None:
         find_bags(folder)
         assert all(file.parent == folder / "a" for file in storage_files(folder / "a"))
+        if not _named(path):  # the files themselves are gone by then
+            raise DatasetError("describes nothing", path)
 
     return parse
 

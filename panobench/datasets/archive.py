@@ -6,10 +6,12 @@ Only plain files inside the archive's own folder are unpacked, and no more than 
 from __future__ import annotations
 
 import hashlib
+import lzma
 import os
 import shutil
 import tarfile
 import zipfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import IO
@@ -98,8 +100,15 @@ def _extract(path: Path, part: Path, without_room: str) -> None:
                     path,
                 )
             _write(part, name, length, file, path)
-    except (zipfile.BadZipFile, tarfile.TarError, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+    except _DAMAGE as error:
         raise DatasetError(f"the archive cannot be unpacked ({' '.join(str(error).split())[:200]})", path) from None
+
+
+#: What reading a damaged archive raises; what writing raises is an OutputError.
+_DAMAGE = (
+    zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, NotImplementedError, RuntimeError,
+    ValueError, OverflowError, OSError,
+)  # fmt: skip
 
 
 def _members(path: Path) -> Iterator[tuple[str, int, IO[bytes]]]:

@@ -105,6 +105,9 @@ def _read_list(path: Path, images: list[Path]) -> ImageTimes:
             raise DatasetError(f"the list has {len(rows)} times for {len(images)} images", path)
         check_times(stamps, path, [row.line for row in rows])
         return ImageTimes(images, stamps - stamps[0], path.name, inputs=(path,))
+    for row in rows:
+        if len(row.fields) < 2:
+            raise DatasetError("a time without an image; other rows name theirs", path, line=row.line)
     present = {image.name: image for image in images}
     found = [(stamp, present.get(Path(row.fields[1]).name)) for stamp, row in zip(stamps, rows)]
     kept = [(stamp, image) for stamp, image in found if image is not None]

@@ -72,6 +72,7 @@ def test_files_of_the_first_version_are_read() -> None:
     assert record.provenance.machine.cpu == "x"
     assert record.spec.variants() == {
         "camera": "erp", "depth": "bootstrap", "width": "256", "every": "1", "holdout": "0", "settings": "window=5",
+        "imu": "auto", "device": "auto",
     }  # fmt: skip
     assert contains(record.to_dict(), OLD), "nothing is lost by reading and writing"
 

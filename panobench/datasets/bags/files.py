@@ -69,7 +69,7 @@ def explained_bag_errors(path: Path) -> Iterator[None]:
         raise DatasetError(f"the bag is truncated or damaged ({_first_line(error)})", path) from None
     except (apsw.Error, zstd.ZstdError) as error:
         raise DatasetError(f"the bag is truncated or damaged ({_first_line(error)})", path) from None
-    except MemoryError:
+    except (MemoryError, OverflowError):
         raise DatasetError("the bag is damaged: a record claims more memory than there is", path) from None
     except OSError as error:
         raise DatasetError(f"the bag cannot be read ({error.strerror or error})", path) from error
