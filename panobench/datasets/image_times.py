@@ -103,8 +103,9 @@ def _read_list(path: Path, images: list[Path]) -> ImageTimes:
     if len(rows[0].fields) == 1:
         if len(rows) != len(images):
             raise DatasetError(f"the list has {len(rows)} times for {len(images)} images", path)
-        check_times(stamps, path, [row.line for row in rows])
-        return ImageTimes(images, stamps - stamps[0], path.name, inputs=(path,))
+        times = stamps - stamps[0]  # what is checked is what is used: huge stamps lose their differences
+        check_times(times, path, [row.line for row in rows])
+        return ImageTimes(images, times, path.name, inputs=(path,))
     for row in rows:
         if len(row.fields) < 2:
             raise DatasetError("a time without an image; other rows name theirs", path, line=row.line)
@@ -115,8 +116,9 @@ def _read_list(path: Path, images: list[Path]) -> ImageTimes:
         raise DatasetError(f"the list names none of the images in {images[0].parent}", path)
     order = sorted(range(len(kept)), key=lambda k: kept[k][0])
     times = np.array([kept[k][0] for k in order])
+    times = times - times[0]
     check_times(times, path)
-    return ImageTimes([kept[k][1] for k in order], times - times[0], path.name, inputs=(path,))
+    return ImageTimes([kept[k][1] for k in order], times, path.name, inputs=(path,))
 
 
 def _is_number(text: str) -> bool:
