@@ -108,7 +108,7 @@ def _cropped(values: dict[str, str]) -> Panorama:
     full = [_number(values.get(f"FullPano{side}Pixels"), 0.0) for side in ("Width", "Height")]
     area = [_number(values.get(f"CroppedAreaImage{side}Pixels"), 0.0) for side in ("Width", "Height")]
     corner = [_number(values.get(f"CroppedArea{side}Pixels"), 0.0) for side in ("Left", "Top")]
-    if min(*full, *area) <= 0 or min(corner) < 0:
+    if min(*full, *area) < 1 or min(corner) < 0:
         return Panorama()
     left, top = corner[0] / full[0], corner[1] / full[1]
     right, bottom = left + area[0] / full[0], top + area[1] / full[1]
@@ -173,7 +173,7 @@ def _track_xml(path: Path) -> str:
                     file.seek(position + skip)
                     return xml_of_moov(file.read(min(size - skip, _MAX_MOOV)))
                 position += size
-    except OSError:
+    except (OSError, ValueError, OverflowError):  # a position that no file has
         pass
     return ""
 
