@@ -71,7 +71,7 @@ def storage_files(path: Path) -> list[Path]:
         return [path]
     there = _parts(path) or [p for p in children(path) if is_bag_name(p.name) and p.suffix != ".bag" and p.is_file()]
     named = [path / name for name in _named(path / METADATA)]
-    missing = [file.name for file in named if not file.is_file()]
+    missing = [file.name for file in named if not _is_file(file)]
     if named and not missing:
         return named
     if len(there) < len(named):  # otherwise they were renamed
@@ -79,6 +79,14 @@ def storage_files(path: Path) -> list[Path]:
     if not there:
         raise DatasetError("no .db3 and no .mcap file here", path)
     return natural_paths(there)
+
+
+def _is_file(path: Path) -> bool:
+    """False also for a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def _named(metadata: Path) -> list[str]:
