@@ -291,5 +291,5 @@ PAPER: dict[str, Any] = {
 #: For those who want the trajectory soon and a sketch of the map.
 FAST: dict[str, Any] = {"mapping.iterations": 5, "mapping.final_iterations": 3}
 #: For those who want the best pictures, and can wait: the map is trained until they stop getting better.
-BEST: dict[str, Any] = {"mapping.final_iterations": 30, "mapping.final_rounds": 4}
+BEST: dict[str, Any] = {"mapping.final_iterations": 30, "mapping.final_rounds": 3}
 PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER, "fast": FAST, "best": BEST}
