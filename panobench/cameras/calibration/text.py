@@ -67,8 +67,16 @@ def as_number(value: Any, error: Callable[[str], CalibrationError]) -> float:
     except (TypeError, ValueError, OverflowError):
         number = float("nan")
     if not -1e300 < number < 1e300:
-        raise error(f"must be a finite number, not {value!r}")
+        raise error(f"must be a finite number, not {_short(value)}")
     return number
+
+
+def _short(value: Any) -> str:
+    """A value for a message; Python does not spell whole numbers of more than 4,300 digits."""
+    try:
+        return repr(value)[:80]
+    except ValueError:
+        return "a whole number of thousands of digits"
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
