@@ -107,7 +107,7 @@ def _extract(path: Path, part: Path, without_room: str) -> None:
 #: What reading a damaged archive raises; what writing raises is an OutputError.
 _DAMAGE = (
     zipfile.BadZipFile, tarfile.TarError, zlib.error, lzma.LZMAError, EOFError, NotImplementedError, RuntimeError,
-    ValueError, OverflowError, OSError,
+    ValueError, LookupError, OverflowError, MemoryError, OSError,
 )  # fmt: skip
 
 

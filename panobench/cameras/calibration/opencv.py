@@ -92,7 +92,7 @@ def read_camera_info(values: dict[str, Any], path: Path, *, rectified: bool = Fa
 
 
 def _plain(key: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", key.lower())
+    return re.sub(r"[^a-z0-9]", "", key[:100].lower())
 
 
 def _cameras(table: Table) -> Iterator[tuple[str, _Keys]]:
