@@ -86,6 +86,8 @@ def about_image(message: Any, path: Path, frame: int) -> ImageAbout:
     """Checks everything but the pixels. Raises DatasetError for what cannot be an image, or is none that is read."""
     if message.__msgtype__ == COMPRESSED:
         return _about_compressed(message, path, frame)
+    if not hasattr(message, "encoding"):
+        raise DatasetError(f"a {message.__msgtype__} where an image was expected", path, frame=frame)
     name = str(message.encoding).lower()
     if name not in ENCODINGS:
         raise DatasetError(f"the image has encoding '{message.encoding}'; {_READ}", path, frame=frame)
