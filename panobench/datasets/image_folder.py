@@ -12,13 +12,13 @@ from pathlib import Path
 
 from panobench.cameras.base import Camera
 from panobench.cameras.calibration import inspect_calibration, split_choice
-from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.base import FrameSequence
+from panobench.datasets.found import FoundSequences
 from panobench.datasets.given import Given
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.image_times import image_times
 from panobench.datasets.images import list_images
 from panobench.datasets.listing import children, one_of_each
-from panobench.datasets.locate import choose_sequence
 from panobench.errors import CalibrationError, DatasetError, UsageError
 from panobench.layouts.layout import Layout
 from panobench.layouts.reader import mask_of_panorama, panorama_of_images
@@ -29,7 +29,7 @@ _NAMES = ("camera", "calibration", "calib", "camera_info", "intrinsics")
 _ENDINGS = (".yaml", ".yml", ".xml", ".json", ".txt")
 
 
-class ImageFolder(Dataset):
+class ImageFolder(FoundSequences):
     """Images below ``root``; ``--rate`` and ``--calibration`` say what the files do not."""
 
     name = "images"
@@ -43,13 +43,9 @@ class ImageFolder(Dataset):
             raise DatasetError("no images here, nor in a folder below", self.root)
         return found
 
-    def sequences(self) -> list[str]:
-        return list(self._found())
-
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
-        found = self._found()
-        name = choose_sequence(self.name, sequence, found)
-        return ImageSequence(self._read(found[name], name), width)
+        name, place = self._choose(sequence)
+        return ImageSequence(self._read(place, name), width)
 
     def _read(self, folder: Path, name: str) -> ImageSource:
         images = [path for path in list_images(folder) if not looks_like_mask(path)]

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.base import FrameSequence
+from panobench.datasets.found import FoundSequences
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import list_images
 from panobench.datasets.json_poses import read_json, rigid_matrix
-from panobench.datasets.locate import choose_sequence
 from panobench.datasets.natural import natural_names, natural_paths
 from panobench.datasets.synpano import panorama_camera
 from panobench.errors import DatasetError
@@ -24,7 +24,7 @@ from panobench.types import Trajectory
 _POSES = "camera_pose.json"
 
 
-class Loc360(Dataset):
+class Loc360(FoundSequences):
     """Sequences are named PLACE/mapping/NAME and PLACE/query_360/NAME below ``root``, or ``root`` is one."""
 
     name = "360loc"
@@ -40,13 +40,9 @@ class Loc360(Dataset):
             raise DatasetError(f"no 360Loc sequence here: PLACE/mapping/NAME/{_POSES} is expected", self.root)
         return found
 
-    def sequences(self) -> list[str]:
-        return list(self._found())
-
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
-        found = self._found()
-        name = choose_sequence(self.name, sequence, found)
-        return ImageSequence(_read(found[name], name), width)
+        name, place = self._choose(sequence)
+        return ImageSequence(_read(place, name), width)
 
 
 def _is_360(path: Path) -> bool:

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.base import FrameSequence
+from panobench.datasets.found import FoundSequences
 from panobench.datasets.image_sequence import ImageSequence, ImageSource, check_sizes
 from panobench.datasets.images import IMAGE_SUFFIXES, list_images
 from panobench.datasets.json_poses import read_json, rigid, rigid_matrix
 from panobench.datasets.listing import visible
-from panobench.datasets.locate import choose_sequence
 from panobench.datasets.natural import natural_key, natural_names, natural_paths, same_but_for_numbers
 from panobench.datasets.synpano import panorama_camera, raw_to_camera_axes
 from panobench.errors import DatasetError
@@ -31,7 +31,7 @@ from panobench.types import Trajectory
 _TRANSFORMS = "transform.json"
 
 
-class OmniBlender(Dataset):
+class OmniBlender(FoundSequences):
     """Scenes of either data set below ``root``, or ``root`` itself is one."""
 
     name = "omniblender"
@@ -50,13 +50,9 @@ class OmniBlender(Dataset):
             )
         return {name: found[name] for name in sorted(found, key=natural_key)}
 
-    def sequences(self) -> list[str]:
-        return list(self._found())
-
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
-        found = self._found()
-        name = choose_sequence(self.name, sequence, found)
-        return ImageSequence(_read(found[name], name), width)
+        name, place = self._choose(sequence)
+        return ImageSequence(_read(place, name), width)
 
 
 def _is_scene(folder: Path) -> bool:

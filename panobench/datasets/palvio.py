@@ -19,12 +19,12 @@ from panobench.datasets.bags.layout import find_bags, is_bag_folder
 from panobench.datasets.bags.messages import IMAGES
 from panobench.datasets.bags.sequence import BagSequence, BagSource
 from panobench.datasets.bags.topics import named
-from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.folder import read_imu_csv
+from panobench.datasets.found import FoundSequences
 from panobench.datasets.image_sequence import ImageSequence, ImageSource
 from panobench.datasets.images import list_images
 from panobench.datasets.listing import children
-from panobench.datasets.locate import choose_sequence
 from panobench.datasets.palvio_calibration import PalvioCalibration, find_calibration
 from panobench.datasets.palvio_mounting import mounted_by_gravity
 from panobench.datasets.trajectory_io import check_times, read_tum
@@ -92,7 +92,7 @@ def _notes(calibration: PalvioCalibration) -> dict[str, Any]:
     }
 
 
-class Palvio(Dataset):
+class Palvio(FoundSequences):
     """Bags ``ROOT/ID01.bag`` ..., extracted folders ``ROOT/ID01/``, or one of them as ``ROOT`` itself."""
 
     name = "palvio"
@@ -112,13 +112,8 @@ class Palvio(Dataset):
             raise DatasetError("no bag and no folder with images/ here", root)
         return found
 
-    def sequences(self) -> list[str]:
-        return list(self._found())
-
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
-        found = self._found()
-        name = choose_sequence(self.name, sequence, found)
-        path = found[name]
+        name, path = self._choose(sequence)
         calibration = find_calibration(path if _is_extracted(path) else path.parent)
         if path.is_file() or is_bag_folder(path):
             return BagSequence(_read_bag(path, name, calibration), width)

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.calibration import Calibration, inspect_calibration
-from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.base import FrameSequence
+from panobench.datasets.found import FoundSequences
 from panobench.datasets.image_sequence import ImageSequence, ImageSource
 from panobench.datasets.imu_table import read_imu_table
-from panobench.datasets.locate import choose_sequence
 from panobench.datasets.natural import natural_paths
 from panobench.datasets.trajectory_io import check_times, parse_floats, read_euroc_csv, read_rows
 from panobench.datasets.truth import truth_at_frames
@@ -30,7 +30,7 @@ _CALIBRATIONS = ("dso/camchain.yaml", "camchain.yaml", "mav0/camchain.yaml", "ca
 _TRUTHS = ("mav0/mocap0/data.csv", "mav0/state_groundtruth_estimate0/data.csv")
 
 
-class TumVi(Dataset):
+class TumVi(FoundSequences):
     """Sequences below ``root``; or ``root`` is one."""
 
     name = "tum-vi"
@@ -45,13 +45,9 @@ class TumVi(Dataset):
             raise DatasetError("no TUM-VI sequence here: SEQUENCE/mav0/cam0/data.csv is expected", self.root)
         return found
 
-    def sequences(self) -> list[str]:
-        return list(self._found())
-
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
-        found = self._found()
-        name = choose_sequence(self.name, sequence, found)
-        return ImageSequence(_read(found[name], name), width)
+        name, place = self._choose(sequence)
+        return ImageSequence(_read(place, name), width)
 
 
 def _read(folder: Path, name: str) -> ImageSource:

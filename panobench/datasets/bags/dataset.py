@@ -22,9 +22,9 @@ from panobench.datasets.bags.files import BagFile
 from panobench.datasets.bags.layout import find_bags
 from panobench.datasets.bags.sequence import BagSequence, BagSource
 from panobench.datasets.bags.topics import camera_topics, image_topic, imu_topic, truth_topic
-from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.base import FrameSequence
+from panobench.datasets.found import FoundSequences
 from panobench.datasets.image_folder import calibration_beside, for_size
-from panobench.datasets.locate import choose_sequence
 from panobench.datasets.synpano import panorama_camera
 from panobench.errors import CalibrationError, DatasetError
 from panobench.geometry import make_pose, matrix_from_quaternion
@@ -34,7 +34,7 @@ from panobench.types import Imu, Trajectory
 Array = NDArray[np.float64]
 
 
-class Bag(Dataset):
+class Bag(FoundSequences):
     """Bags below ``root``, or ``root`` is one."""
 
     name = "bag"
@@ -48,19 +48,14 @@ class Bag(Dataset):
             raise DatasetError("no bag here: .bag, .db3, .mcap, or a folder of ROS 2 with metadata.yaml", self.root)
         return found
 
-    def sequences(self) -> list[str]:
-        return list(self._found())
-
     def contents(self, sequence: str | None = None) -> list[str]:
         """A line for each topic of a bag, for `panobench probe`."""
-        found = self._found()
-        bag = BagFile(found[choose_sequence(self.name, sequence, found)])
+        bag = BagFile(self._choose(sequence)[1])
         return [f"{name} ({topic.kind}, {topic.count})" for name, topic in sorted(bag.topics.items())]
 
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
-        found = self._found()
-        name = choose_sequence(self.name, sequence, found)
-        return BagSequence(self._read(BagFile(found[name]), name), width)
+        name, place = self._choose(sequence)
+        return BagSequence(self._read(BagFile(place), name), width)
 
     def _read(self, bag: BagFile, name: str) -> BagSource:
         image, images = image_topic(bag, self.given.topic)

@@ -20,8 +20,9 @@ from panobench.cameras.stitching import Stitcher
 from panobench.datasets.bags.contents import Contents, Wanted, read_contents
 from panobench.datasets.bags.files import BagFile
 from panobench.datasets.bags.images import decode_image_message
-from panobench.datasets.base import Dataset, FrameSequence
+from panobench.datasets.base import FrameSequence
 from panobench.datasets.checksums import files_provenance
+from panobench.datasets.found import FoundSequences
 from panobench.datasets.hilti.calibration import (
     GRAVITY,
     IMAGE_TOPICS,
@@ -35,7 +36,6 @@ from panobench.datasets.hilti.calibration import (
 from panobench.datasets.hilti.layout import bag_of, find_runs, truth_of
 from panobench.datasets.image_folder import for_size
 from panobench.datasets.images import resize_image
-from panobench.datasets.locate import choose_sequence
 from panobench.datasets.trajectory_io import read_tum
 from panobench.datasets.truth import truth_at_frames
 from panobench.errors import DatasetError, UsageError
@@ -145,7 +145,7 @@ class HiltiSequence(FrameSequence):
         }
 
 
-class Hilti360(Dataset):
+class Hilti360(FoundSequences):
     """The organisers' folders below ``root``, or one run's folder."""
 
     name = "hilti-360"
@@ -159,15 +159,11 @@ class Hilti360(Dataset):
             raise DatasetError("no run here: floor_X/YYYY-MM-DD/run_Z/rosbag/rosbag.db3", self.root)
         return found
 
-    def sequences(self) -> list[str]:
-        return list(self._found())
-
     def open(self, sequence: str | None = None, *, width: int | None = None) -> FrameSequence:
-        found = self._found()
-        name = choose_sequence(self.name, sequence, found)
+        name, place = self._choose(sequence)
         given = self.given.calibration
         calibration = published_calibration() if given is None else chain_calibration(Path(given))
-        return HiltiSequence(read_recording(found[name], name, calibration), width)
+        return HiltiSequence(read_recording(place, name, calibration), width)
 
 
 def read_recording(run: Path, name: str, calibration: HiltiCalibration) -> Recording:
