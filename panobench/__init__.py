@@ -8,9 +8,10 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from panobench import kernel_cache
+from panobench import kernel_cache, openmp
 
 kernel_cache.prepare()
+openmp.prepare()
 
 __version__ = "0.1.0"
 

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+import panobench  # noqa: F401 - before torch, so that OpenMP's workers do not spin: see panobench.openmp
+
 # CI repeats the same examples, so that a red run is the change's doing; runs at home keep exploring.
 settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -48,7 +49,7 @@ class SolutionCheck:
     @property
     def confirmable(self) -> bool:
         """Whether nothing is wrong, or nothing but an agreement that is somewhat too low."""
-        return replace(self, agreement=1.0).problem() is None and self.agreement > CONFIRMABLE_MIN
+        return replace(self, agreement=math.inf).problem() is None and self.agreement > CONFIRMABLE_MIN
 
     def problem(self) -> str | None:
         """What is wrong, in one line, or None."""

@@ -7,13 +7,6 @@ from typing import Any
 
 import numba
 
-# OpenMP workers would otherwise spin between kernels for milliseconds: they burn a core while a method rests, and they
-# stall each other when several runs share a machine. Not spinning at all costs 60 us per kernel, about as long as many
-# kernels take. libgomp is therefore told to spin for about 0.2 ms. Both variables are read once, when the first
-# parallel kernel loads the runtime.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-os.environ.setdefault("GOMP_SPINCOUNT", "5000")
-
 # Prefer OpenMP even where a machine happens to have TBB, whose workers also spin for a while after each kernel.
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
     numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
