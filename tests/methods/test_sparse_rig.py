@@ -7,11 +7,11 @@ import pytest
 
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.methods.sparse.absolute import pose_ransac
-from panobench.methods.sparse.adjust import pose_errors, solve_pose
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.lenses import Lenses
 from panobench.methods.sparse.mapping import ray_distance
 from panobench.methods.sparse.pointmap import ACTIVE, Keyframe, PointMap
+from panobench.methods.sparse.pose import pose_errors, solve_pose
 from panobench.methods.sparse.rig_faces import build_rig_faces
 from panobench.methods.sparse.scale import adjust_scale, independent_sigma, is_due, scale_sigma, spread
 from panobench.testing import two_lenses

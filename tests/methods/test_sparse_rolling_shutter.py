@@ -8,9 +8,9 @@ import pytest
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.row_times import rates_along, row_times
 from panobench.geometry import invert_pose, make_pose, so3_exp
-from panobench.methods.sparse.adjust import pose_errors
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
+from panobench.methods.sparse.pose import pose_errors
 from panobench.methods.sparse.rolling_shutter import RowBearings, estimate_readout
 
 CAMERA, FOCAL = ErpCamera(512, 256), 81.0

@@ -70,7 +70,7 @@ class LocaliseMethod(OnlineMethod):
         self.numbers[frame.index] = {
             "tracking_s": time.perf_counter() - began,
             "loss": trusted.cost,
-            "agreement": self.relocaliser.agreement(trusted.render),
+            "agreement": self.relocaliser.agreed,
         }
         return trusted.T_wc
 

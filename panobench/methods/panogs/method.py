@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.cameras.row_times import rates_along
 from panobench.geometry import invert_pose
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.maps.saved import SavedMap
@@ -33,6 +32,7 @@ from panobench.methods.panogs.place_recognition import Places
 from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.revisits import RevisitFactors
 from panobench.methods.panogs.rolling_shutter import RollingShutter
+from panobench.methods.panogs.start import FirstMap, Start
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.methods.splatting.views import View
@@ -45,8 +45,6 @@ from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 Pose = NDArray[np.float64]
 #: Standard deviation, in 8-bit levels, below which a frame shows nothing.
 BLANK_LEVELS = 1.0
-#: From so many frames an unknown readout of a rolling shutter is estimated.
-READOUT_FRAMES = 20
 
 
 class Phase(Enum):
@@ -95,12 +93,8 @@ class PanogsMethod(OnlineMethod):
         self.jobs = BackgroundJobs(self.mapper, self.trajectory, self.graph, self.lag, width)
         self.trajectory.followers = [self.mapper, self.tracker, self.relocaliser]
 
-        self.estimator = context.make_depth() if context.make_depth else None
-        if self.estimator:
-            self.estimator.start(camera, context.seed)
+        self.first_frames = Start(camera, context, c.start, self.exposure, self.shutter)
         self.first_depth: DepthEstimate | None = None
-        self.waiting: list[Frame] = []
-        self.held: DepthEstimate | None = None  # while more frames have to tell the readout
         self.before_first: list[Frame] = []  # frames before the one whose depth the map starts from
         self.numbers: dict[int, dict[str, float]] = {}
         if context.saved_map is not None:
@@ -118,7 +112,7 @@ class PanogsMethod(OnlineMethod):
         if self._is_blank(frame.image):
             self._skip(frame)
         elif self.phase is Phase.WAITING:
-            self._wait(frame)
+            self._begin(self.first_frames.add(frame))
         else:
             self._process(frame)
         return self.trajectory.get(frame.index)
@@ -224,85 +218,30 @@ class PanogsMethod(OnlineMethod):
 
     # -- the start -----------------------------------------------------------------------------------------------------
 
-    def _wait(self, frame: Frame) -> None:
-        """Collect frames until the estimator has the depth of one of them."""
-        if not self.waiting:
-            if not frame.mappable:  # the map begins with a frame that it may see
-                return
-            self.exposure.start(frame.image)
-        self.waiting.append(frame)
-        if self.held is not None:
-            if len(self.waiting) >= READOUT_FRAMES:
-                self._initialise(self.held)
+    def _begin(self, start: FirstMap | None) -> None:
+        """Build the first map, if it can be, and track the frames that waited for it."""
+        if start is None:
             return
-        if self.estimator is None:
-            shape = frame.image.shape[:2]
-            depth_map = np.full(shape, self.config.start.constant_depth, np.float32)
-            self._initialise(DepthEstimate(depth_map, frame.index))
-            return
-        estimate = self.estimator.add(replace(frame, image=self.exposure.before(frame.image)))
-        if estimate is not None and self.shutter.unknown and len(self.waiting) < READOUT_FRAMES:
-            self.held = estimate
-        elif estimate is not None:
-            self._initialise(estimate)
-
-    def _initialise(self, estimate: DepthEstimate) -> None:
-        """Build the first map and track the frames that waited for it."""
-        self.first_depth = estimate
         self._enter(Phase.TRACKING)
-        if estimate.message:
-            (self.context.log if estimate.ok else self.context.warn)(estimate.message)
-        waiting, self.waiting, self.held = self.waiting, [], None
-        rectified = waiting
-        self.shutter.estimate(waiting, self.context.seed, self.context.log)
-        if self.shutter.enabled and len(estimate.T_wc) > 2:
-            rectified, estimate = self._estimate_rectified(waiting, estimate)
-            self.first_depth = estimate
-        first = next(f for f in rectified if f.index == estimate.frame_index)
+        self.first_depth, first = start.depth, start.first
         view = View(first.index, first.image, np.eye(4), visible=first.mask)
         self.shutter.record(first.time, view.T_wc)
-        self.mapper.initialise(view, first.time, estimate.depth)
+        self.mapper.initialise(view, first.time, start.depth.depth)
         levels = self.tracker.frame_pyramid(view.image, first.mask)
         self.graph.add(first.index, levels[self.lag.buffer.fine_scale.level])
         self.places.add(self.places.thumbnail(levels[-1]))
         self.tracker.reset(view.T_wc)
         self._note(first, keyframe=1.0)
-        self.before_first = [f for f in waiting if f.index < first.index]
+        estimated = start.depth.T_wc
+        self.before_first = [f for f in start.frames if f.index < first.index]
         for frame in self.before_first:  # until there is a map to track them against, the estimator's poses have to do
-            if frame.index in estimate.T_wc:
-                self.trajectory.add(frame.index, frame.time, estimate.T_wc[frame.index], view)
-        for frame in waiting:
+            if frame.index in estimated:
+                self.trajectory.add(frame.index, frame.time, estimated[frame.index], view)
+        for frame in start.frames:
             if frame.index > first.index:
-                if frame.index in estimate.T_wc:
-                    self.tracker.expect(estimate.T_wc[frame.index])
+                if frame.index in estimated:
+                    self.tracker.expect(estimated[frame.index])
                 self._process(frame)
-
-    def _estimate_rectified(self, waiting: list[Frame], estimate: DepthEstimate) -> tuple[list[Frame], DepthEstimate]:
-        """The waiting frames, rectified by the poses of a first estimate as far as they go, and their own estimate."""
-        posed = [f for f in waiting if f.index in estimate.T_wc]
-        T_wc = np.stack([estimate.T_wc[f.index] for f in posed])
-        rates = rates_along(np.array([f.time for f in posed]), T_wc)
-        images = {f.index: self.shutter.rectified(f.image, rate) for f, rate in zip(posed, rates)}
-        frames = [replace(f, image=images[f.index]) for f in posed]
-        assert self.context.make_depth is not None
-        estimator = self.context.make_depth()
-        estimator.start(self.camera, self.context.seed)
-        found: DepthEstimate | None = None
-        for frame in frames:
-            found = estimator.add(replace(frame, image=self.exposure.before(frame.image)))
-            if found is not None:
-                break
-        found = found or estimator.finish() or estimate
-        if len(found.T_wc) > 2:
-            self.shutter.know(waiting, found.T_wc)
-        return [self._first_rectified(f, found) if f.index == found.frame_index else f for f in waiting], found
-
-    def _first_rectified(self, frame: Frame, estimate: DepthEstimate) -> Frame:
-        """The frame whose depth the map starts from."""
-        motion = self.shutter.motion(frame.index)
-        if motion is None:
-            return frame
-        return replace(frame, image=self.shutter.rectified(frame.image, *motion, estimate.depth))
 
     def _go_on(self, saved: SavedMap) -> None:
         """Start lost in a saved map: the first frames are looked for in it."""
@@ -318,10 +257,7 @@ class PanogsMethod(OnlineMethod):
 
     def finish(self) -> Estimate:
         self.phase = Phase.FINISHING
-        if self.waiting and self.estimator is not None:
-            estimate = self.held or self.estimator.finish()
-            if estimate is not None:
-                self._initialise(estimate)
+        self._begin(self.first_frames.finish())
         self.jobs.finish()
         self._track_before_first()
         self.mapper.optimiser.finish()

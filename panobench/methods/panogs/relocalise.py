@@ -33,7 +33,8 @@ Pose = NDArray[np.float64]
 class Relocaliser:
     """Judges tracked frames. places: one thumbnail for each keyframe, in their order.
 
-    strict: whether a pose must show itself in fine detail, as it must where the camera enters a saved map.
+    strict: whether a pose must show itself in fine detail, as it must where the camera enters a saved map. agreed: the
+    agreement of the last frame that was compared with the map.
     """
 
     def __init__(self, tracker: Tracker, places: Places, options: RelocalisationOptions) -> None:
@@ -43,6 +44,7 @@ class Relocaliser:
         self.align_options = replace(tracker.align_options, exposure=True)
         self.usual: deque[float] = deque(maxlen=options.usual_frames)
         self.lost_for = 0
+        self.agreed = 0.0
         self._good: tuple[Pose, F32] | None = None
 
     def interrupted(self) -> None:
@@ -73,12 +75,14 @@ class Relocaliser:
             return None
         if self.strict:
             needed = self.options.agree_entry
-        if self.agreement(tracked.render) >= needed:
+        self.agreed = self._agreement(tracked.render)
+        if self.agreed >= needed:
             return tracked
         render = self._render(gaussians, tracked.T_wc)
-        return replace(tracked, render=render) if self.agreement(render) >= needed else None
+        self.agreed = self._agreement(render)
+        return replace(tracked, render=render) if self.agreed >= needed else None
 
-    def agreement(self, render: Render) -> float:
+    def _agreement(self, render: Render) -> float:
         """Of the newest frame with a render, in the detail that is asked for."""
         return agreement(self.tracker.pyramid, render, self.tracker.weights, self.fine if self.strict else COARSE)
 
@@ -97,9 +101,10 @@ class Relocaliser:
         best, most = None, self.options.agree_entry if self.strict else self.options.agree_lost
         for start in self._starts(frame[-1], keyframes):
             found = self.descend(frame, gaussians, start)
-            share = self.agreement(found.render) if found.good else 0.0
+            share = self._agreement(found.render) if found.good else 0.0
             if share >= most:
                 best, most = found, share
+                self.agreed = share
             if share >= self.options.agree_surely:
                 break
         self.tracker.reference = None  # it may be of anywhere

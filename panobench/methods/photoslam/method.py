@@ -17,7 +17,8 @@ from panobench.cameras.base import Camera
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.photoslam.config import PhotoslamConfig
 from panobench.methods.photoslam.mapper import PhotoslamMapper
-from panobench.methods.sparse.method import Session, SparseMethod
+from panobench.methods.sparse.method import SparseMethod
+from panobench.methods.sparse.session import Session
 from panobench.splat.render import Renderer
 from panobench.types import Estimate, Frame
 

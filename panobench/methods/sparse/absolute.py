@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.methods.sparse.adjust import pose_errors, solve_pose
 from panobench.methods.sparse.lenses import Lenses
+from panobench.methods.sparse.pose import pose_errors, solve_pose
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import make_pose
-from panobench.methods.sparse.adjust import bundle_adjust, pose_errors, solve_pose
+from panobench.methods.sparse.bundle import bundle_adjust
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners
@@ -17,6 +17,7 @@ from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.mapping import ray_distance
 from panobench.methods.sparse.patches import align_level
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, Keyframe, PointMap
+from panobench.methods.sparse.pose import pose_errors, solve_pose
 from panobench.methods.sparse.tracking import LIMITS, Pyramid
 from panobench.methods.sparse.twoview import essential_ransac
 

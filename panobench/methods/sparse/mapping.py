@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from panobench.geometry import invert_pose
-from panobench.methods.sparse.adjust import bundle_adjust
+from panobench.methods.sparse.bundle import bundle_adjust
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners

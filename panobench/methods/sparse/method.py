@@ -3,15 +3,14 @@
 The camera model is used only to resample each image to perspective faces (``faces``). Corners are tracked by aligning
 stored tangent-plane templates (``patches``). Two views initialise the map (``initialise``), and every frame's pose is
 solved against it (``tracking``). Keyframes add points, and local bundle adjustment refines them (``mapping``). A lost
-camera is relocalised by descriptors (``relocalise``), and loops are closed (``loop``).
+camera is relocalised by descriptors (``relocalise``), and loops are closed (``loop``). At the end every pose is solved
+once more (``refine``).
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -21,10 +20,9 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, make_pose, renormalise, so3_log
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.methods.base import MethodContext, OnlineMethod
-from panobench.methods.sparse.adjust import pose_errors, solve_pose
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.faces import FaceSet, build_faces, levels_for
-from panobench.methods.sparse.initialise import InitialFrame, Initialiser, solve_initial_frame
+from panobench.methods.sparse.initialise import Initialiser, solve_initial_frame
 from panobench.methods.sparse.loop import close_loop, detect_loop
 from panobench.methods.sparse.mapping import (
     add_candidates,
@@ -35,11 +33,12 @@ from panobench.methods.sparse.mapping import (
     renew_templates,
 )
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
+from panobench.methods.sparse.refine import correct_shutter, refined_poses
 from panobench.methods.sparse.relocalise import relocalise
 from panobench.methods.sparse.rig_faces import RigFaces, build_rig_faces
-from panobench.methods.sparse.rolling_shutter import Readout, RowBearings, estimate_readout
 from panobench.methods.sparse.rotation import RotationFinder
 from panobench.methods.sparse.scale import METRIC_SIGMA, adjust_scale, is_due, scale_sigma
+from panobench.methods.sparse.session import Session
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame, update_candidates
 from panobench.types import Estimate, Frame, Trajectory
 
@@ -49,30 +48,10 @@ Array = NDArray[np.float64]
 YOUNG_MAP = 6
 #: Least number of keyframes between two loop closures.
 LOOP_INTERVAL = 8
-#: Rounds of turning bearings by the trajectory's angular velocities and adjusting it.
-SHUTTER_ROUNDS = 2
 #: With an IMU, which knows the camera's rotation, a loop that corrects it by more than this is not closed.
 LOOP_TURN_DEG = 3.0
 #: Face sizes are multiples of 2^(MAX_LEVELS - 1).
 MAX_LEVELS = 5
-
-
-@dataclass
-class Session:
-    """One map and the frames that were tracked in it. velocity: T_cw of the last frame relative to the one before."""
-
-    map: PointMap
-    records: list[FrameRecord] = field(default_factory=list)
-    T_cw: Array = field(default_factory=lambda: np.eye(4))
-    velocity: Array = field(default_factory=lambda: np.eye(4))
-    lost: int = 0
-    last_loop: int = 0
-    loops: int = 0
-    relocalised: int = 0
-
-    def pose_of(self, record: FrameRecord) -> Array:
-        """T_cw (4, 4) of a frame from the current pose of its keyframe."""
-        return renormalise(record.T_ck @ self.map.keyframes[record.keyframe].T_cw)
 
 
 class SparseMethod(OnlineMethod):
@@ -134,7 +113,7 @@ class SparseMethod(OnlineMethod):
                 T = solve_initial_frame(
                     initial, m.position, point_of_track, newest.T_cw, self.face_set, len(history), position
                 )
-            session.records.append(_record_of(initial, T, key or m.keyframes[0], point_of_track))
+            session.add_initial(initial, T, key or m.keyframes[0], point_of_track)
         self.context.log(
             f"frame {frame.index}: map of {int((m.state == ACTIVE).sum())} points from {len(history)} frames"
         )
@@ -230,11 +209,8 @@ class SparseMethod(OnlineMethod):
         return invert_pose(session.T_cw)
 
     def _pose_of(self, index: int) -> Array | None:
-        """T_wc of a recent or older frame of the present map."""
-        records = self.session.records if self.session is not None else []
-        k = bisect_left(records, index, key=lambda r: r.index)
-        known = k < len(records) and records[k].index == index
-        return invert_pose(self.session.pose_of(records[k])) if known and self.session is not None else None
+        """T_wc of a frame of the present map."""
+        return self.session.find(index) if self.session is not None else None
 
     def _wants_keyframe(self, m: PointMap, frame: Frame, tracked: Tracked) -> bool:
         config = self.config
@@ -290,9 +266,7 @@ class SparseMethod(OnlineMethod):
 
     def _adjust_scale(self, session: Session) -> None:
         growth = adjust_scale(session.map, self.config, self.face_set.focal)
-        session.velocity[:3, 3] *= growth
-        for record in session.records:
-            record.T_ck[:3, 3] *= growth
+        session.grew(growth)
         self.context.log(
             f"{len(session.map.keyframes)} keyframes: the lenses' distance changes the scale by {growth:.3f}"
         )
@@ -306,7 +280,7 @@ class SparseMethod(OnlineMethod):
             empty = Trajectory(np.empty(0), np.empty((0, 4, 4)))
             return Estimate(empty, extra={"initialised": False})
         session = max(sessions, key=lambda s: len(s.records))
-        m = session.map
+        m, focal = session.map, self.face_set.focal
         extra: dict[str, Any] = {
             "initialised": True,
             "maps": len(sessions),
@@ -317,13 +291,12 @@ class SparseMethod(OnlineMethod):
             everything = [k.number for k in m.keyframes]
             if m.lenses.several:
                 self._adjust_scale(session)
-            extra["reprojection_px"] = adjust_window(
-                m, self.config, self.face_set.focal, everything, self.config.final_ba
-            )
+            extra["reprojection_px"] = adjust_window(m, self.config, focal, everything, self.config.final_ba)
         if self.rig_faces is None:
-            extra["readout_ms"] = round(1e3 * self._correct_shutter(session), 2)
+            readout_s = correct_shutter(session, self.camera, self.config, focal, self.context.log)
+            extra["readout_ms"] = round(1e3 * readout_s, 2)
         by_lenses = m.lenses.several and self._judge_scale(m, extra)
-        poses = self._poses_by_frame(session)
+        poses = refined_poses(session, self.config, focal)
         extra["points"] = int((m.state == ACTIVE).sum())
         metric = self._metric(session, poses, sessions)
         if self.inertial.enabled:
@@ -353,38 +326,6 @@ class SparseMethod(OnlineMethod):
         self.context.warn("the rig turned too little for its lenses' distance to tell the scale: it is not metric")
         return False
 
-    def _poses(self, session: Session) -> Array:
-        """T_wc (N, 4, 4) of the frames in the order of their indices."""
-        poses = []
-        for record in sorted(session.records, key=lambda r: r.index):
-            T = session.pose_of(record)
-            poses.append(invert_pose(self._refit(session.map, record, T) if self.config.refit else T))
-        return np.stack(poses)
-
-    def _correct_shutter(self, session: Session) -> float:
-        """Readout in seconds; if it is not 0, bearings are turned to their frames' middle rows and adjusted again."""
-        m, config, focal = session.map, self.config, self.face_set.focal
-        given = config.readout_ms
-        if given == 0 or len(session.records) < 3:
-            return 0.0
-        rows = RowBearings(self.camera, m, session.records)
-        rows.follow(self._poses(session))
-        readout = estimate_readout(rows, m, config, focal) if given is None else Readout(1e-3 * given)
-        if given is None and readout.best_s:
-            self.context.log(
-                f"readout {1e3 * readout.best_s:.1f} ms explains {readout.gain:.1%} more: "
-                + (f"a rolling shutter of {1e3 * readout.seconds:.1f} ms" if readout.seconds else "a global shutter")
-            )
-        for _ in range(SHUTTER_ROUNDS if readout.seconds else 0):
-            rows.turn(readout.seconds)
-            adjust_window(m, config, focal, [k.number for k in m.keyframes], max(config.final_ba, 1))
-            rows.follow(self._poses(session))
-        return readout.seconds
-
-    def _poses_by_frame(self, session: Session) -> dict[int, Array]:
-        """T_wc by frame index, in that order."""
-        return dict(zip(sorted(r.index for r in session.records), self._poses(session)))
-
     def _metric(self, session: Session, poses: dict[int, Array], sessions: list[Session]) -> MetricPoses | None:
         """The trajectory in metres, of all maps, if there is an IMU; frames of several maps count for the longest."""
         if not self.inertial.enabled:
@@ -392,7 +333,8 @@ class SparseMethod(OnlineMethod):
         maps = [poses]
         for other in sorted((s for s in sessions if s is not session), key=lambda s: -len(s.records)):
             known = {index for found in maps for index in found}
-            maps.append({i: T for i, T in self._poses_by_frame(other).items() if i not in known})
+            refined = refined_poses(other, self.config, self.face_set.focal)
+            maps.append({index: T for index, T in refined.items() if index not in known})
         return self.inertial.finish(maps)
 
     def known_poses(self) -> dict[int, Array]:
@@ -400,26 +342,3 @@ class SparseMethod(OnlineMethod):
         sessions = [*self.previous, *([self.session] if self.session is not None else [])]
         session = max(sessions, key=lambda s: len(s.records), default=None)
         return {} if session is None else {r.index: invert_pose(session.pose_of(r)) for r in session.records}
-
-    def _refit(self, m: PointMap, record: FrameRecord, T: Array) -> Array:
-        """The pose from the frame's own measurements and the refined points."""
-        alive = m.state[record.points] == ACTIVE
-        X, b = m.position[record.points[alive]], record.bearings[alive].astype(np.float64)
-        focal, origins = self.face_set.focal, m.lenses.origins(b)
-        near = pose_errors(T, X, b, focal, origins) < 4.0
-        if int(near.sum()) < self.config.min_inliers:
-            return T
-        kept = None if origins is None else origins[near]
-        return solve_pose(T, X[near], b[near], focal, self.config.huber_px, 10, kept)
-
-
-def _record_of(initial: InitialFrame, T_cw: Array, key: Keyframe, point_of_track: NDArray[np.int64]) -> FrameRecord:
-    use = point_of_track[initial.tracks] >= 0
-    return FrameRecord(
-        initial.index,
-        initial.time,
-        key.number,
-        T_cw @ invert_pose(key.T_cw),
-        initial.tracks[use],
-        initial.bearings[use].astype(np.float32),
-    )

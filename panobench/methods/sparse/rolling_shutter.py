@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from panobench.cameras.base import Camera
 from panobench.cameras.row_times import rates_along, rotated, row_times
-from panobench.methods.sparse.adjust import bundle_adjust
+from panobench.methods.sparse.bundle import bundle_adjust
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
 

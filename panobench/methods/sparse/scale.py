@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.methods.sparse.adjust import pose_errors, pose_information
+from panobench.methods.sparse.bundle import pose_information
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.mapping import adjust_window, observations
 from panobench.methods.sparse.pointmap import ACTIVE, PointMap
+from panobench.methods.sparse.pose import pose_errors
 
 Array = NDArray[np.float64]
 

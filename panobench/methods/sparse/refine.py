@@ -1,0 +1,72 @@
+"""The last refinement of a session: every frame's pose from its own measurements, and the rows of a rolling shutter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.geometry import invert_pose
+from panobench.methods.sparse.config import SparseConfig
+from panobench.methods.sparse.mapping import adjust_window
+from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, PointMap
+from panobench.methods.sparse.pose import pose_errors, solve_pose
+from panobench.methods.sparse.rolling_shutter import Readout, RowBearings, estimate_readout
+from panobench.methods.sparse.session import Session
+
+Array = NDArray[np.float64]
+
+#: Rounds of turning bearings by the trajectory's angular velocities and adjusting it.
+SHUTTER_ROUNDS = 2
+#: A frame's own measurement further than this from its point, in pixels, has no say in its pose.
+NEAR_PX = 4.0
+
+
+def refined_poses(session: Session, config: SparseConfig, focal: float) -> dict[int, Array]:
+    """T_wc (4, 4) by frame index, in that order. focal: pixels per radian."""
+    poses = {}
+    for record in sorted(session.records, key=lambda r: r.index):
+        T = session.pose_of(record)
+        poses[record.index] = invert_pose(_refit(session.map, record, T, config, focal) if config.refit else T)
+    return poses
+
+
+def correct_shutter(
+    session: Session, camera: Camera, config: SparseConfig, focal: float, log: Callable[[str], None]
+) -> float:
+    """Readout in seconds; if it is not 0, bearings are turned to their frames' middle rows and adjusted again."""
+    given = config.readout_ms
+    if given == 0 or len(session.records) < 3:
+        return 0.0
+
+    def poses() -> Array:
+        return np.stack(list(refined_poses(session, config, focal).values()))
+
+    m = session.map
+    rows = RowBearings(camera, m, session.records)
+    rows.follow(poses())
+    readout = estimate_readout(rows, m, config, focal) if given is None else Readout(1e-3 * given)
+    if given is None and readout.best_s:
+        log(
+            f"readout {1e3 * readout.best_s:.1f} ms explains {readout.gain:.1%} more: "
+            + (f"a rolling shutter of {1e3 * readout.seconds:.1f} ms" if readout.seconds else "a global shutter")
+        )
+    for _ in range(SHUTTER_ROUNDS if readout.seconds else 0):
+        rows.turn(readout.seconds)
+        adjust_window(m, config, focal, [k.number for k in m.keyframes], max(config.final_ba, 1))
+        rows.follow(poses())
+    return readout.seconds
+
+
+def _refit(m: PointMap, record: FrameRecord, T: Array, config: SparseConfig, focal: float) -> Array:
+    """T_cw (4, 4) from the frame's own measurements and the refined points."""
+    alive = m.state[record.points] == ACTIVE
+    X, b = m.position[record.points[alive]], record.bearings[alive].astype(np.float64)
+    origins = m.lenses.origins(b)
+    near = pose_errors(T, X, b, focal, origins) < NEAR_PX
+    if int(near.sum()) < config.min_inliers:
+        return T
+    kept = None if origins is None else origins[near]
+    return solve_pose(T, X[near], b[near], focal, config.huber_px, 10, kept)
