@@ -91,6 +91,7 @@ def _image_material() -> Material:
     colour = np.dstack([image, image.T.reshape(16, 32), 255 - image])
     pictures = [(".png", image), (".png", colour), (".png", image.astype(np.uint16) * 257), (".jpg", colour)]
     pictures += [(".webp", colour), (".bmp", colour), (".jpg", image)]
+    pictures += [(".tif", colour), (".tif", image.astype(np.uint16) * 257), (".pgm", image), (".ppm", colour)]
     return Material(tuple(bytes(cv2.imencode(suffix, p)[1]) for suffix, p in pictures))
 
 

@@ -74,6 +74,10 @@ class ChosenFrames(FrameSequence):
     def image(self, index: int) -> NDArray[np.uint8]:
         return self._inner.image(self.original(index))
 
+    @property
+    def start_time(self) -> float:
+        return self._inner.start_time
+
     def frame_name(self, index: int) -> str:
         return self._inner.frame_name(self.original(index))
 

@@ -31,6 +31,11 @@ class FrameSequence(ABC):
     def __len__(self) -> int:
         return len(self.times)
 
+    @property
+    def start_time(self) -> float:
+        """Seconds on the recorder's clock at which ``times`` is 0; 0.0 where they are on it, or it is not known."""
+        return 0.0
+
     @abstractmethod
     def image(self, index: int) -> NDArray[np.uint8]:
         """RGB (H, W, 3) of ``self.camera``'s size. Raises DatasetError for a damaged image or one of another size."""

@@ -6,6 +6,7 @@ Known are the headers of TUM, EuRoC, rostopic, rosbag exports and the many hand-
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,6 +32,13 @@ _UNITS = {
     **dict.fromkeys(("us", "usec", "µs", "microsecond", "microseconds", "micros"), 1e-6),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds", "nanos"), 1e-9),
 }
+_DEGREE = math.pi / 180
+#: Units of length, angular rate and acceleration that are not metres, rad/s and m/s^2.
+_LENGTHS = {"mm": 1e-3, "millimeters": 1e-3, "millimetres": 1e-3, "cm": 1e-2, "centimeters": 1e-2, "centimetres": 1e-2}
+_RATES = dict.fromkeys(("deg/s", "deg", "degs", "dps", "°/s", "degree/s", "degrees/s", "deg/sec"), _DEGREE)
+_ACCELERATIONS = {**dict.fromkeys(("g", "gs", "gravity"), 9.80665), "mg": 9.80665e-3}
+#: A unit at the end of a name, without brackets: x_mm, gyro_x_dps.
+_SUFFIXES = {"mm", "cm", "dps", "deg", "mg"}
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,7 @@ class Columns:
 
     unit_s: seconds that a unit of the time stands for, if the name says so. nanoseconds: a second column to be added to
     the first, as ROS writes stamps. quaternion: in the order x, y, z, w, as files store it, wherever they stand.
+    position_m, gyro_rad_s, accel_m_s2: what one unit of those columns is, where their names have a unit.
     """
 
     time: int | None = None
@@ -48,6 +57,9 @@ class Columns:
     quaternion: tuple[int, ...] | None = None
     gyro: tuple[int, ...] | None = None
     accel: tuple[int, ...] | None = None
+    position_m: float = 1.0
+    gyro_rad_s: float = 1.0
+    accel_m_s2: float = 1.0
 
 
 def is_header(fields: Sequence[str]) -> bool:
@@ -77,7 +89,20 @@ def columns(names: Sequence[str]) -> Columns:
         _axes(found.get("quaternion"), "xyzw"),
         _axes(found.get("gyro"), "xyz"),
         _axes(found.get("accel"), "xyz"),
+        _unit(names, found.get("position"), _LENGTHS),
+        _unit(names, found.get("gyro"), _RATES),
+        _unit(names, found.get("accel"), _ACCELERATIONS),
     )
+
+
+def _unit(names: Sequence[str], places: dict[str, int] | None, units: dict[str, float]) -> float:
+    """What the unit in brackets or at the end of a column's name stands for; 1 for none, and for one unknown."""
+    if not places:
+        return 1.0
+    name = names[next(iter(places.values()))].strip().lower()
+    bracketed = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
+    unit = bracketed[1] if bracketed else _words(name)[-1]
+    return units.get(re.sub(r"[\s*·.^_]", "", unit), 1.0)
 
 
 def _axes(places: dict[str, int] | None, axes: str) -> tuple[int, ...] | None:
@@ -93,6 +118,8 @@ def _words(name: str) -> list[str]:
 def _quantity(name: str) -> tuple[str, str]:
     """(kind, axis) of a column, ("", "") for one that is none of ours."""
     kept = [w for w in _words(re.sub(r"\[.*?\]|\(.*?\)", "", name)) if w not in _FILLERS]
+    if len(kept) > 1 and kept[-1] in _SUFFIXES:
+        kept.pop()
     if not kept or set(kept) & _OTHER:
         return "", ""
     *about, last = kept

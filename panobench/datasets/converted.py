@@ -35,6 +35,10 @@ class ConvertedSequence(FrameSequence):
     def image(self, index: int) -> NDArray[np.uint8]:
         return self.reprojector.image(self.source.image(index))
 
+    @property
+    def start_time(self) -> float:
+        return self.source.start_time
+
     def frame_name(self, index: int) -> str:
         return self.source.frame_name(index)
 

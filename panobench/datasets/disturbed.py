@@ -43,6 +43,10 @@ class DisturbedSequence(FrameSequence):
     def image(self, index: int) -> NDArray[np.uint8]:
         return self._disturb(self.source.image(index), index)
 
+    @property
+    def start_time(self) -> float:
+        return self.source.start_time
+
     def frame_name(self, index: int) -> str:
         return self.source.frame_name(index)
 

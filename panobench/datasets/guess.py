@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,14 +10,19 @@ from pathlib import Path
 from panobench.datasets.archive import is_archive, unpacked
 from panobench.datasets.bags.files import BagFile
 from panobench.datasets.bags.layout import find_bags, is_bag_name
+from panobench.datasets.cameras_in_names import by_camera
 from panobench.datasets.folder import find_sequences, is_sequence
 from panobench.datasets.image_folder import image_folders
 from panobench.datasets.images import IMAGE_SUFFIXES, list_images
 from panobench.datasets.listing import children, visible
 from panobench.datasets.palvio_calibration import OVERRIDE, published_calibration
 from panobench.datasets.reconstructions import TRANSFORMS, colmap_model
+from panobench.datasets.trajectory_io import is_tum
 from panobench.datasets.video import VIDEO_SUFFIXES
 from panobench.errors import DatasetError, PanobenchError
+
+#: The true poses of a SynPano scene.
+_POSES = "groundtruth.txt"
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,9 @@ def guess(path: Path) -> Guess:
         answer = look(path)
         if answer is not None:
             return Guess(answer[0], path, answer[1])
+    unread = _unread_images(path)
+    if unread:
+        raise DatasetError(f"{unread}: these are not read; convert them to JPEG, PNG or TIFF", path)
     raise DatasetError(
         "nothing here that is read: images, a video, a bag, a COLMAP or nerfstudio project, an archive of such or a "
         "data set (`panobench list datasets`); name its --dataset",
@@ -107,6 +116,12 @@ def _pattern(dataset: str, what: str, *patterns: str) -> Callable[[Path], Answer
     return look
 
 
+def _synpano(path: Path) -> Answer:
+    """By groundtruth.txt, whose rows name images; TUM's RGB-D recordings have a file of that name with times."""
+    tables = [p for pattern in (_POSES, f"*/{_POSES}") for p in sorted(path.glob(pattern)) if visible(p)]
+    return ("synpano", "a SynPano scene") if any(not is_tum(table) for table in tables) else None
+
+
 def _bags(path: Path) -> Answer:
     """Bags directly here, or in folders: ROS 2 has a folder for each."""
     bags = list(find_bags(path).values())
@@ -126,17 +141,32 @@ def _images(path: Path) -> Answer:
     found = image_folders(path)
     if not found:
         return None
-    count = len(list_images(next(iter(found.values()))))
+    images = list_images(next(iter(found.values())))
     if len(found) == 1:
-        return "images", f"a folder of {count} images"
+        cameras = len(by_camera(images))
+        return "images", f"a folder of {len(images)} images" + (f" of {cameras} cameras" if cameras else "")
     return "images", f"{len(found)} folders of images"
+
+
+#: Endings of pictures that people have and that are not read.
+_OTHER_PICTURES = {
+    *(".heic", ".heif", ".avif", ".jxl", ".jp2", ".exr", ".hdr", ".gif"),
+    *(".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".gpr"),
+}
+
+
+def _unread_images(path: Path) -> str:
+    """ "5 .heic files", or "" where there are none here or in a folder below."""
+    names = [path.name] if path.is_file() else [p.name for p in [*path.glob("*"), *path.glob("*/*")] if visible(p)]
+    endings = Counter(Path(name).suffix.lower() for name in names if Path(name).suffix.lower() in _OTHER_PICTURES)
+    return ", ".join(f"{count} {ending} files" for ending, count in endings.most_common(3))
 
 
 _FILE_LOOKS = (_video_file, _bag_file, _transforms_file, _image_file)
 #: In this order: layouts that describe themselves before those that are recognised by what is in them.
 _FOLDER_LOOKS = (
     _panobench,
-    _pattern("synpano", "a SynPano scene", "groundtruth.txt", "*/groundtruth.txt"),
+    _synpano,
     _bags,
     _pattern("tum-vi", "a recording in TUM-VI's layout", "mav0", "*/mav0"),
     _pattern("360loc", "360Loc", "camera_pose.json", "*/*/*/camera_pose.json"),

@@ -45,6 +45,7 @@ class ImageSource:
     notes: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     novel: Callable[[], list[NovelView]] | None = None
+    start_time: float = 0.0
     layout: Layout | None = None
     stored: tuple[int, int] | None = None
 
@@ -57,9 +58,9 @@ def check_sizes(images: list[Path], expected: tuple[int, int] | None = None) -> 
         if size is None:
             size = found
         elif found != size:
-            other = "the camera" if expected else "the first image"
+            other, cure = ("the camera", "") if expected else ("the first image", "; keep those of one size here")
             raise DatasetError(
-                f"the image is {found[0]}x{found[1]} pixels, {other} is {size[0]}x{size[1]}", path, frame=index
+                f"the image is {found[0]}x{found[1]} pixels, {other} is {size[0]}x{size[1]}{cure}", path, frame=index
             )
     if size is None:
         raise DatasetError("the sequence is empty: it has no image")
@@ -110,6 +111,10 @@ class ImageSequence(FrameSequence):
         if layout is None:
             return resize_image(image, *size)
         return layout.unpack(resize_image(image, *layout.picture_size(expected, size)), size)
+
+    @property
+    def start_time(self) -> float:
+        return self.source.start_time
 
     def frame_name(self, index: int) -> str:
         return self.source.images[index].name

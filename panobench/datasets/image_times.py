@@ -35,7 +35,8 @@ _NUMBER = re.compile(r"(.*?)(\d+)$")
 class ImageTimes:
     """The images in the order of time, their times (N,) in seconds, and what they come from, for people.
 
-    assumed: nothing says when they were taken.
+    assumed: nothing says when they were taken. start: seconds on the clock of the list or the names at which ``times``
+    is 0.
     """
 
     images: list[Path]
@@ -43,6 +44,7 @@ class ImageTimes:
     source: str
     assumed: bool = False
     inputs: tuple[Path, ...] = ()
+    start: float = 0.0
 
 
 def image_times(images: list[Path], rate: float | None = None) -> ImageTimes:
@@ -59,8 +61,10 @@ def image_times(images: list[Path], rate: float | None = None) -> ImageTimes:
         if stamps is not None:
             order = sorted(range(len(images)), key=stamps.__getitem__)
             times = np.array([(stamps[i] - stamps[order[0]]) * 1e-9 for i in order])
-            return ImageTimes([images[i] for i in order], times, source)
+            return ImageTimes([images[i] for i in order], times, source, start=stamps[order[0]] * 1e-9)
+    why = "EXIF has whole seconds, which several images share" if exif_time(images[0]) is not None else ""
     said = f"nothing says when the images were taken: {ASSUMED_RATE_HZ:g} a second are assumed; say --rate"
+    said = f"{why}: {ASSUMED_RATE_HZ:g} images a second are assumed; say --rate" if why else said
     return _counted(images, ASSUMED_RATE_HZ, said, assumed=True)
 
 
@@ -105,7 +109,7 @@ def _read_list(path: Path, images: list[Path]) -> ImageTimes:
             raise DatasetError(f"the list has {len(rows)} times for {len(images)} images", path)
         times = stamps - stamps[0]  # what is checked is what is used: huge stamps lose their differences
         check_times(times, path, [row.line for row in rows])
-        return ImageTimes(images, times, path.name, inputs=(path,))
+        return ImageTimes(images, times, path.name, inputs=(path,), start=float(stamps[0]))
     for row in rows:
         if len(row.fields) < 2:
             raise DatasetError("a time without an image; other rows name theirs", path, line=row.line)
@@ -116,9 +120,10 @@ def _read_list(path: Path, images: list[Path]) -> ImageTimes:
         raise DatasetError(f"the list names none of the images in {images[0].parent}", path)
     order = sorted(range(len(kept)), key=lambda k: kept[k][0])
     times = np.array([kept[k][0] for k in order])
-    times = times - times[0]
+    start = float(times[0])
+    times = times - start
     check_times(times, path)
-    return ImageTimes([kept[k][1] for k in order], times, path.name, inputs=(path,))
+    return ImageTimes([kept[k][1] for k in order], times, path.name, inputs=(path,), start=start)
 
 
 def _is_number(text: str) -> bool:

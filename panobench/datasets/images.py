@@ -21,7 +21,10 @@ from panobench.errors import DatasetError
 MAX_SIDE = 16384
 MAX_PIXELS = 200_000_000
 #: Image files that folders of frames are searched for.
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp")
+IMAGE_SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".jfif", ".insp"),  # Insta360's photographs are JPEGs
+    *(".webp", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"),
+)
 
 
 def check_limits(width: int, height: int, path: Path | str, frame: int | str | None = None) -> None:
@@ -189,7 +192,7 @@ def resize_depth(depth: NDArray[np.float32], width: int, height: int, *, wrap: b
 
 
 def encode_image(image: NDArray[Any], suffix: str, *, quality: int = 95) -> bytes:
-    """RGB (H, W, 3) or grey/bool (H, W) -> file bytes; suffix ".png", ".jpg" or ".webp"."""
+    """RGB (H, W, 3) or grey/bool (H, W) -> file bytes; suffix ".png", ".jpg", ".webp", ".tif" or ".ppm"."""
     import cv2
 
     pixels = np.where(image, 255, 0).astype(np.uint8) if image.dtype == np.bool_ else image
@@ -199,6 +202,8 @@ def encode_image(image: NDArray[Any], suffix: str, *, quality: int = 95) -> byte
         ".jpg": [cv2.IMWRITE_JPEG_QUALITY, quality],
         ".png": [cv2.IMWRITE_PNG_COMPRESSION, 3],
         ".webp": [cv2.IMWRITE_WEBP_QUALITY, quality],
+        ".tif": [],
+        ".ppm": [],
     }[suffix]
     ok, data = cv2.imencode(suffix, np.ascontiguousarray(pixels), options)
     if not ok:

@@ -17,7 +17,8 @@ _FASTEST_S = 1e-4
 
 
 def read_imu_table(path: Path, unit_s: float = 1.0, *, exact: bool = False) -> Imu:
-    """Samples in rad/s and m/s^2. ``unit_s``: seconds in a unit of the time, unless its name or spacing says otherwise.
+    """Samples in rad/s and m/s^2, whichever units the header names. ``unit_s``: seconds in a unit of the time, unless
+    its name or spacing says otherwise.
 
     ``exact``: a table without a header has seven columns and no more. Raises DatasetError with file:line.
     """
@@ -44,4 +45,4 @@ def read_imu_table(path: Path, unit_s: float = 1.0, *, exact: bool = False) -> I
         times = found[:, 0] * (where.unit_s or time_unit(found[:, 0], unit_s, _FASTEST_S))
     check_times(times, path, [row.line for row in table.rows])
     samples = found[:, len(stamp) :]
-    return Imu(times, samples[:, :3].copy(), samples[:, 3:].copy())
+    return Imu(times, samples[:, :3] * where.gyro_rad_s, samples[:, 3:] * where.accel_m_s2)

@@ -8,13 +8,16 @@ from pathlib import Path
 from panobench.datasets.natural import natural_paths
 from panobench.errors import DatasetError
 
-#: Folders that macOS puts into archives: they hold a shadow (``._NAME``) of every file.
-_SHADOWS = "__MACOSX"
+#: Folders of operating systems and of network storage. macOS's hold a shadow (``._NAME``) of every file, Synology's
+#: thumbnails of every picture, the others what was deleted.
+_OF_SYSTEMS = {
+    *("__MACOSX", "@eaDir", "#recycle", "@Recycle", "$RECYCLE.BIN", "System Volume Information", "lost+found"),
+}
 
 
 def visible(path: Path) -> bool:
-    """Neither hidden (``.DS_Store``, macOS's ``._NAME``) nor an archive's folder of such."""
-    return not path.name.startswith(".") and path.name != _SHADOWS
+    """Neither hidden (``.DS_Store``, macOS's ``._NAME``) nor a folder of the system's own."""
+    return not path.name.startswith(".") and path.name not in _OF_SYSTEMS
 
 
 def children(folder: Path) -> list[Path]:

@@ -81,10 +81,10 @@ def probe(
         return described
     try:
         found = Guess(dataset, path, "as named") if dataset is not None else guess(path)
-    except DatasetError:
+    except DatasetError as error:
         described = _description(path)
         if described is None:
-            raise
+            raise _why_not(path, error) from None
         return described
     opened = open_dataset(found.dataset, found.root, given)
     report = Probe(str(path), found.what, found.dataset, str(found.root), opened.sequences())
@@ -139,6 +139,24 @@ def _command(path: Path, dataset: str | None, sequence: str | None, given: Given
         words += [f"--{name.replace('_', '-')}", f"{value:g}" if isinstance(value, float) else value] if value else []
     words += ["--width", str(width)] if width != 512 else []
     return shlex.join(words)
+
+
+def _why_not(path: Path, error: DatasetError) -> PanobenchError:
+    """Of a file that may be a calibration or a trajectory: what is wrong with it; else ``error``."""
+    from panobench.cameras.calibration import inspect_calibration, is_calibration, split_choice
+    from panobench.trajectories.reading import read_poses
+
+    file, _ = split_choice(path)
+    if not file.is_file() or file.suffix.lower() not in _DESCRIPTIONS:
+        return error
+    try:
+        if is_calibration(file):
+            inspect_calibration(path)
+        else:
+            read_poses(path)
+    except PanobenchError as reason:
+        return reason
+    return error
 
 
 def _description(path: Path) -> Probe | None:

@@ -32,12 +32,17 @@ class Row:
 
 
 def read_rows(path: Path, *, delimiter: str | None = None) -> list[Row]:
-    """Rows of a text table without blank lines and ``#`` comments; delimiter None is white space.
+    """Rows of a text table without blank lines and comments; delimiter None is white space.
 
     Raises DatasetError if the file is missing, too large or not UTF-8 text.
     """
-    lines = [(number, line) for number, line in _lines(path) if not line.startswith("#")]
+    lines = [(number, line) for number, line in _lines(path) if not _is_comment(line)]
     return [Row(number, [f.strip() for f in line.split(delimiter)]) for number, line in lines]
+
+
+def _is_comment(line: str) -> bool:
+    """``#``, Matlab's ``%`` or C's ``//``. ``rostopic echo -p`` writes its header as ``%time,...``: no comment."""
+    return line.startswith(("#", "//")) or (line.startswith("%") and not line.startswith("%time"))
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
@@ -71,7 +76,7 @@ def read_named_rows(path: Path) -> NamedRows:
     before the first row with as many names as it has values. Decimal commas are read where semicolons separate.
     """
     lines = _lines(path)
-    first = next((k for k, (_, line) in enumerate(lines) if not line.startswith("#")), len(lines))
+    first = next((k for k, (_, line) in enumerate(lines) if not _is_comment(line)), len(lines))
     if first == len(lines):
         return NamedRows([], Columns(), False, None)
     sample = lines[min(first + 1, len(lines) - 1)][1]
@@ -81,10 +86,12 @@ def read_named_rows(path: Path) -> NamedRows:
         fields = [f.strip() for f in line.split(delimiter)]
         return [f.replace(",", ".") for f in fields] if delimiter == ";" else fields
 
-    rows = [Row(number, split(line)) for number, line in lines[first:] if not line.startswith("#")]
+    rows = [Row(number, split(line)) for number, line in lines[first:] if not _is_comment(line)]
+    if delimiter and all(len(row.fields) > 1 and not row.fields[-1] for row in rows):  # each row ends with a comma
+        rows = [Row(row.line, row.fields[:-1]) for row in rows]
     if len(rows) > 1 and is_header(rows[0].fields):
         return NamedRows(rows[1:], columns(rows[0].fields), True, delimiter)
-    names = split(lines[first - 1][1].lstrip("# ")) if first else []
+    names = split(lines[first - 1][1].lstrip("#%/ ")) if first else []
     found = columns(names) if len(names) == len(rows[0].fields) and is_header(names) else Columns()
     return NamedRows(rows, found, False, delimiter)
 
@@ -192,6 +199,15 @@ def read_tum(path: Path, unit_s: float | None = None) -> Trajectory:
     return _read_posed(path, read_named_rows(path), "time x y z qx qy qz qw", 1.0, unit_s)
 
 
+def is_tum(path: Path) -> bool:
+    """Whether the first row has the eight numbers of a TUM file; False for what cannot be read."""
+    try:
+        rows = read_named_rows(path).rows
+        return bool(rows) and len(rows[0].fields) == 8 and all(_is_number(text) for text in rows[0].fields)
+    except DatasetError:
+        return False
+
+
 def read_tum_ns(path: Path, unit_s: float | None = None) -> Trajectory:
     """TUM in nanoseconds, as ORB-SLAM3 writes; of a frame that is there twice the second line counts."""
     table, lines = read_table(path, 8, "time in ns, x y z qx qy qz qw", exact=True)
@@ -257,10 +273,14 @@ def _read_posed(
             raise DatasetError(f"the row has {n} values, expected {need}: {expected}", path, line=row.line)
         values.append(parse_floats(row, [row.fields[k] for k in (*stamp, *chosen)], path, expected))
     found, lines = np.array(values), [row.line for row in table.rows]
+    fresh = np.append(True, (found[1:] != found[:-1]).any(axis=1))  # a pose recorded twice is one pose
+    found, lines = found[fresh], [line for line, keep in zip(lines, fresh) if keep]
     unit = forced_s or where.unit_s or time_unit(found[:, 0], unit_s)
     times = found[:, 0] * unit if where.nanoseconds is None else found[:, 0] + 1e-9 * found[:, 1]
     check_times(times, path, lines)
-    return Trajectory(times, poses_from_rows(found[:, len(stamp) :], path, lines))
+    rows = found[:, len(stamp) :]
+    rows[:, :3] *= where.position_m
+    return Trajectory(times, poses_from_rows(rows, path, lines))
 
 
 #: Readers of tables by kind. Each takes a file, and seconds in a unit of its times if they are not as the kind says.

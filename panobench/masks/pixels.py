@@ -1,7 +1,7 @@
 """What a picture that somebody made as a mask means: which pixels it hides.
 
 White is seen and black is hidden. People also erase (transparency), paint over (opaque strokes on nothing), and write
-labels (0 and 1, which look black both).
+labels (0 and 1, which look black both). Programs write what they found in colour.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ _MUCH = 0.6
 #: More values than this between the darkest and the brightest are no labels.
 _LABELS = 32
 _OPAQUE = 128
+#: Between the channels of a colour that is neither grey nor a grey's JPEG.
+_COLOUR = 64
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,8 @@ def understand(pixels: NDArray[Any]) -> MaskPixels:
         return _doubted(*_transparent(value, colours, _eight_bits(opacity) >= _OPAQUE))
     if opacity is not None and opacity.max() == 0:
         raise ValueError("it is transparent everywhere")
+    if colours.shape[2] == 3 and (painted := _painted(_eight_bits(colours))) is not None:
+        return _doubted(~painted, "what is painted in colour is hidden")
     return _doubted(*_opaque(value))
 
 
@@ -53,6 +57,21 @@ def _eight_bits(value: NDArray[Any]) -> NDArray[np.uint8]:
     if value.dtype != np.uint8 and value.max(initial=0) > 255:
         return np.asarray(value // 257, dtype=np.uint8)
     return np.asarray(value, dtype=np.uint8)
+
+
+def _painted(colours: NDArray[np.uint8]) -> NDArray[np.bool_] | None:
+    """(H, W): what is painted in colour on white, or less than half of a black ground; None for other pictures.
+
+    Programs that segment images write what they found so. Colours between are those of JPEG at the edges.
+    """
+    low, high = colours.min(axis=-1), colours.max(axis=-1)
+    painted = high - low >= _COLOUR
+    share = float(painted.mean())
+    ground = high[~painted] if share else high[:0]
+    if not len(ground):
+        return None
+    white, black = float((low[~painted] > 191).mean()), float((ground < 64).mean())
+    return painted if white > 0.97 or (black > 0.97 and share < 0.5) else None
 
 
 def _opaque(value: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], str]:

@@ -47,13 +47,15 @@ class Placed:
 class Frames:
     """What poses are matched to: times (N,), names where frames are files, and numbers (N,) in the whole recording.
 
-    whole: how many frames that has; the frames may be every second of them.
+    whole: how many frames that has; the frames may be every second of them. start: seconds on the recorder's clock at
+    which ``times`` is 0.
     """
 
     times: Array
     names: Sequence[str] | None = None
     numbers: NDArray[np.int64] | None = None
     whole: int | None = None
+    start: float = 0.0
 
     def __len__(self) -> int:
         return len(self.times)
@@ -66,7 +68,24 @@ class Frames:
         names = [sequence.frame_name(i) for i in range(len(sequence))]
         counted = all(name == f"{number:06d}" for name, number in zip(names, numbers))
         whole = getattr(sequence, "whole", len(sequence))
-        return cls(np.asarray(sequence.times, dtype=np.float64), None if counted else names, numbers, whole)
+        return cls(
+            np.asarray(sequence.times, dtype=np.float64),
+            None if counted else names,
+            numbers,
+            whole,
+            sequence.start_time,
+        )
+
+    def clock_shift(self, stamps: Array) -> float:
+        """Seconds to add to stamps (M,) of the recorder's clock to count them as ``times`` are; 0.0 for others.
+
+        They are taken to be of that clock where only then they and the frames have times in common.
+        """
+
+        def meet(shift: float) -> bool:
+            return bool(stamps[0] + shift <= self.times[-1] and stamps[-1] + shift >= self.times[0])
+
+        return -self.start if meet(-self.start) and not meet(0.0) else 0.0
 
     def numbered(self, numbers: NDArray[np.int64]) -> tuple[NDArray[np.intp], int]:
         """The frame of each number, -1 for none, and whether numbers count from 0 or from 1.
@@ -106,7 +125,9 @@ def place(
     elif found.numbers is not None:
         index = _by_number(found, frames, path)
     else:
-        index = _by_time(found, frames, path, time_offset, max_dt)
+        assert found.times is not None
+        shift = time_offset + frames.clock_shift(found.times + time_offset)
+        index = _by_time(found, frames, path, shift, max_dt)
     chosen = np.flatnonzero(index >= 0)
     order = chosen[np.argsort(index[chosen], kind="stable")]
     rows = index[order]

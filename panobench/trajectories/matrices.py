@@ -24,7 +24,8 @@ _NUMBERS = {"frame", "index", "id", "idx", "frame_id", "frameid", "frame_index",
 def is_matrices(table: NamedRows) -> bool:
     """By the length of the first rows."""
     lengths = [len(row.fields) for row in table.rows[:5]]
-    if not lengths or table.columns.quaternion is not None:
+    where = table.columns
+    if not lengths or where.quaternion is not None or (table.written and where.position is not None):
         return False
     return lengths[0] in (12, 13, 16, 17) or _is_blocks(lengths)
 

@@ -59,6 +59,7 @@ def read_reference(
     if found.times is None:
         placed = place(found, frames, path)
         return Reference(path, placed.trajectory, scaled, placed.remarks)
+    found = replace(found, times=found.times + frames.clock_shift(found.times))
     recorded = found.trajectory()
     truth = at_times(recorded, frames.times)
     if len(truth) < 0.5 * min(len(found), len(frames)) and not any_clock:
@@ -96,6 +97,10 @@ class ReferencedSequence(FrameSequence):
 
     def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
         return self._inner.lens_images(index)
+
+    @property
+    def start_time(self) -> float:
+        return self._inner.start_time
 
     def frame_name(self, index: int) -> str:
         return self._inner.frame_name(index)

@@ -82,6 +82,21 @@ def test_probing_what_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixt
     assert panobench(["probe", str(tmp_path / "nowhere")]) == 2
 
 
+def test_a_calibration_or_trajectory_with_a_mistake_is_told_what_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lens = "cam0:\n  camera_model: pinhole\n  intrinsics: [30, 30, 32, 16]\n  resolution: [64, 32]\n"
+    (tmp_path / "chain.yaml").write_text(f"{lens}  distortion_model: fov\n  distortion_coeffs: [0.9]\n")
+    assert panobench(["probe", str(tmp_path / "chain.yaml")]) == 2
+    assert "chain.yaml:5: distortion_model 'fov' is not known here; known: radtan" in capsys.readouterr().err
+    (tmp_path / "path.csv").write_text("time,x,y,z\n0,1,2,3\n1,1,2,3\n")
+    assert panobench(["probe", str(tmp_path / "path.csv")]) == 2
+    assert "path.csv: the header names no quaternion" in capsys.readouterr().err
+    (tmp_path / "K.txt").write_text("300 0 160\n0 300 120\n0 0 1\n")
+    assert panobench(["probe", str(tmp_path / "K.txt")]) == 2
+    assert "K.txt:1: the row has 3 values, which no format has" in capsys.readouterr().err
+
+
 def test_the_error_of_a_named_dataset_says_how_to_go_on(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for dataset in ("folder", "synpano"):
         assert panobench(["run", "--method", "sparse", "--dataset", dataset, "--root", str(folder)]) == 2

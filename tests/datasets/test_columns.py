@@ -154,3 +154,54 @@ def test_a_scene_s_table_by_its_header(tmp_path: Path) -> None:
     path = tmp_path / "groundtruth.txt"
     path.write_text("\n".join(["frame_id image_name x y z qw qx qy qz", *rows]))
     np.testing.assert_allclose(read_pose_table(path).T_wc, TRUE, atol=1e-8)
+
+
+@pytest.mark.parametrize("comment", ["# made by hand", "% made in Matlab", "// made in C", "%{ block"])
+def test_comments_of_other_programs(comment: str, tmp_path: Path) -> None:
+    path = table(tmp_path / "t.csv", f"{comment}\n% time x y z qx qy qz qw", TIMES, X, Y, Z, QX, QY, QZ, QW)
+    np.testing.assert_allclose(read_pose_csv(path).T_wc, TRUE, atol=1e-8)
+
+
+@pytest.mark.parametrize("header", ["", "time,tx,ty,tz,qx,qy,qz,qw,"])
+def test_a_comma_at_the_end_of_each_row_is_no_column(header: str, tmp_path: Path) -> None:
+    path = table(tmp_path / "t.csv", header, TIMES, X, Y, Z, QX, QY, QZ, QW)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(line if line == header else f"{line}," for line in lines))
+    np.testing.assert_allclose(read_pose_csv(path).T_wc, TRUE, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"),
+    [("x [mm],y [mm],z [mm]", 1e-3), ("PosX(cm),PosY(cm),PosZ(cm)", 1e-2), ("x_mm,y_mm,z_mm", 1e-3), ("x,y,z", 1.0)],
+)
+def test_units_of_length_in_a_header(names: str, unit: float, tmp_path: Path) -> None:
+    path = table(tmp_path / "t.csv", f"time,{names},qx,qy,qz,qw", TIMES, X / unit, Y / unit, Z / unit, QX, QY, QZ, QW)
+    np.testing.assert_allclose(read_pose_csv(path).T_wc, TRUE, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("header", "gyro", "accel"),
+    [
+        ("time,gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s],acc_x [g],acc_y [g],acc_z [g]", np.pi / 180, 9.80665),
+        ("time,gyro_x_dps,gyro_y_dps,gyro_z_dps,acc_x_mg,acc_y_mg,acc_z_mg", np.pi / 180, 9.80665e-3),
+        ("time,wx [rad/s],wy [rad/s],wz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]", 1.0, 1.0),
+    ],
+)
+def test_units_of_inertial_samples(header: str, gyro: float, accel: float, tmp_path: Path) -> None:
+    values = np.arange(1.0, 71.0).reshape(10, 7)
+    values[:, 0] = np.arange(10) * 0.005
+    imu = read_imu_table(table(tmp_path / "imu.csv", header, *values.T))
+    np.testing.assert_allclose(imu.gyro, values[:, 1:4] * gyro)
+    np.testing.assert_allclose(imu.accel, values[:, 4:] * accel)
+
+
+def test_a_pose_that_is_there_twice_counts_once(tmp_path: Path) -> None:
+    path = table(tmp_path / "t.csv", "", *(np.repeat(v, 2) for v in (TIMES, X, Y, Z, QX, QY, QZ, QW)))
+    np.testing.assert_allclose(read_pose_csv(path).T_wc, TRUE, atol=1e-8)
+
+
+def test_positions_without_rotations_are_said_to_be_such(tmp_path: Path) -> None:
+    from panobench.trajectories.reading import read_poses
+
+    with pytest.raises(DatasetError, match="the header names no quaternion"):
+        read_poses(table(tmp_path / "t.csv", "time,x,y,z", TIMES, X, Y, Z))

@@ -61,6 +61,20 @@ def test_files(tmp_path: Path, file: str, dataset: str) -> None:
     assert guess(touch(tmp_path, file) / file).dataset == dataset
 
 
+def test_a_recording_of_tum_is_no_synpano_scene(tmp_path: Path) -> None:
+    touch(tmp_path, "rgb/1.png", "depth/1.png")
+    (tmp_path / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n1305031098.6 1 1 1 0 0 0 1\n")
+    assert (guess(tmp_path).dataset, guess(tmp_path).what) == ("images", "a folder of 1 images")
+    (tmp_path / "groundtruth.txt").write_text("0 1.png 1 1 1 0 0 0 1\n")
+    assert guess(tmp_path).dataset == "synpano"
+
+
+def test_pictures_that_are_not_read_are_named(tmp_path: Path) -> None:
+    touch(tmp_path, "IMG_1.HEIC", "IMG_2.HEIC", "IMG_3.dng", "._IMG_4.HEIC")
+    with pytest.raises(DatasetError, match=r"2 \.heic files, 1 \.dng files: these are not read; convert them to JPEG"):
+        guess(tmp_path)
+
+
 def test_an_archive_is_what_is_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PANOBENCH_CACHE", str(tmp_path / "cache"))
     touch(tmp_path / "walk", "images/a.png", "images/b.png")

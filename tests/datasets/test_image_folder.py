@@ -200,3 +200,126 @@ def test_one_frame_in_two_formats_is_refused(tmp_path: Path) -> None:
     write(tmp_path, "1.png", "1.jpg", "2.png")
     with pytest.raises(DatasetError, match=r"1.jpg and 1.png are the same frame twice"):
         opened(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("names", "cameras"),
+    [
+        (["frame_{}_left.png", "frame_{}_right.png"], ["left", "right"]),
+        (["L{}.png", "R{}.png"], ["L", "R"]),
+        (["cam0_{}.png", "cam1_{}.png", "cam10_{}.png"], ["cam0", "cam1", "cam10"]),
+        (["{}.png", "{}_thumb.png"], ["plain", "thumb"]),
+    ],
+)
+def test_cameras_whose_images_share_a_folder_are_sequences(
+    tmp_path: Path, names: list[str], cameras: list[str]
+) -> None:
+    from panobench.datasets.guess import guess
+    from panobench.datasets.open import open_dataset
+
+    root = tmp_path / "walk"
+    for k, name in enumerate(names):  # each of a brightness of its own
+        for i in range(1, 12):
+            root.mkdir(exist_ok=True)
+            cv2.imwrite(str(root / name.format(i)), np.full((32, 64, 3), 50 * k, np.uint8))
+    dataset = open_dataset("images", root)
+    assert dataset.sequences() == [f"walk/{camera}" for camera in cameras]
+    assert guess(root).what == f"a folder of {11 * len(names)} images of {len(names)} cameras"
+    for k, camera in enumerate(cameras):
+        sequence = dataset.open(f"walk/{camera}")
+        assert {int(sequence.image(i)[0, 0, 0]) for i in range(len(sequence))} == {50 * k}
+        assert len(sequence) == 11
+        listed = ", ".join(cameras)
+        line = f"the folder has images of {len(cameras)} cameras ({listed}); these are of {camera}"
+        assert line in sequence.remarks()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        [f"frame{i}.png" for i in range(8)],
+        [f"{i // 4}-{i % 4}.png" for i in range(8)],
+        ["left1.png", "left2.png", "right1.png", "right2.png"],  # too few to tell
+        [*(f"a{i}.png" for i in range(4)), *(f"b{i}.png" for i in range(90, 94))],
+        ["kitchen.png", "hall.png", "stairs.png"],
+    ],
+)
+def test_other_names_are_of_one_camera(tmp_path: Path, names: list[str]) -> None:
+    assert len(opened_all(tmp_path, names)) == len(names)
+
+
+def opened_all(root: Path, names: list[str]) -> FrameSequence:
+    write(root, *names)
+    return opened(root)
+
+
+def test_folders_of_systems_and_of_other_pictures_are_no_sequences(tmp_path: Path) -> None:
+    from panobench.datasets.open import open_dataset
+
+    write(tmp_path / "2023" / "trip" / "take 1" / "out", "1.png", "2.png")
+    for folder in ("@eaDir/1.png", "#recycle", "depth", "masks", "Thumbnails"):
+        write(tmp_path / folder, "1.png")
+    assert open_dataset("images", tmp_path).sequences() == ["2023/trip/take 1/out"]
+    write(tmp_path / "only" / "depth", "1.png")
+    assert open_dataset("images", tmp_path / "only").sequences() == ["depth"]
+
+
+POSES = [f"{t} {t} 0 0 0 0 0 1" for t in (0, 0.5, 2.5)]
+
+
+def test_true_poses_beside_the_images(tmp_path: Path) -> None:
+    write(tmp_path / "rgb", "1.png", "2.png", "3.png")
+    (tmp_path / "groundtruth.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(POSES))
+    assert opened(tmp_path).groundtruth is None
+    line = "groundtruth.txt beside the images is not used: nothing says when they were taken (--rate)"
+    assert line in opened(tmp_path).remarks()
+    (tmp_path / "rgb.txt").write_text("0.0 rgb/1.png\n0.5 rgb/2.png\n2.5 rgb/3.png\n")
+    truth = opened(tmp_path).groundtruth
+    assert truth is not None
+    assert truth.T_wc[:, 0, 3].tolist() == [0, 0.5, 2.5]
+    assert "ground truth is from groundtruth.txt, which lies beside the images" in opened(tmp_path).remarks()
+    # of another clock, or damaged: named, not used
+    (tmp_path / "groundtruth.txt").write_text("900 0 0 0 0 0 0 1\n901 1 0 0 0 0 0 1\n")
+    assert opened(tmp_path).groundtruth is None
+    assert any("groundtruth.txt beside the images is not used" in line for line in opened(tmp_path).remarks())
+    (tmp_path / "groundtruth.txt").write_text("x")
+    assert any("groundtruth.txt beside the images is not used" in line for line in opened(tmp_path).remarks())
+    (tmp_path / "groundtruth.txt").rename(tmp_path / "poses.txt")
+    line = "poses.txt beside the images is not used: --groundtruth FILE takes it as true"
+    assert line in opened(tmp_path).remarks()
+
+
+def test_stamps_since_1970_are_of_the_clock_of_the_images(tmp_path: Path) -> None:
+    from panobench.trajectories.matching import Frames, place
+    from panobench.trajectories.reading import read_poses
+    from panobench.trajectories.reference import read_reference
+
+    start = 1_678_901_234
+    write(tmp_path / "images", *(f"{start + t:.6f}.png" for t in (0, 0.5, 2.5)))
+    path = tmp_path / "them.tum"
+    path.write_text("\n".join(f"{start + t:.6f} {t} 0 0 0 0 0 1" for t in (0, 0.5, 2.5)))
+    frames = Frames.of(opened(tmp_path))
+    assert frames.times == pytest.approx([0, 0.5, 2.5])
+    assert read_reference(path, frames).trajectory.T_wc[:, 0, 3] == pytest.approx([0, 0.5, 2.5])
+    placed = place(read_poses(path), frames, path)
+    assert (placed.index.tolist(), placed.unplaced) == ([0, 1, 2], 0)
+    assert len(place(read_poses(path), frames, path, time_offset=-float(start)).index) == 3  # said, not guessed
+    path.write_text("\n".join(POSES))
+    assert len(place(read_poses(path), frames, path).index) == 3
+
+
+def test_a_file_called_calibration_that_is_none_is_named(tmp_path: Path) -> None:
+    write(tmp_path, "1.png", "2.png")
+    (tmp_path / "calib.txt").write_text("P0: 718 0 607 0 0 718 185 0 0 0 1 0\n")
+    (tmp_path / "intrinsics.txt").write_text("718 0 607\n0 718 185\n0 0 1\n")
+    sequence = opened(tmp_path)
+    assert sequence.camera == ErpCamera(64, 32)
+    for name in ("calib.txt", "intrinsics.txt"):
+        assert f"{name} beside the images is no calibration that is read" in sequence.remarks()
+
+
+def test_stamps_in_exif_that_several_images_share_are_named(tmp_path: Path) -> None:
+    for k in range(4):
+        photograph(tmp_path / f"R{k}.jpg", f"2023:04:12 15:30:0{k // 2}")
+    line = "EXIF has whole seconds, which several images share: 10 images a second are assumed; say --rate"
+    assert line in opened(tmp_path).remarks()

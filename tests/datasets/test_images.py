@@ -21,7 +21,7 @@ from panobench.datasets.images import (
 from panobench.errors import DatasetError
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp", ".bmp"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp", ".bmp", ".tif", ".ppm"])
 def test_size_from_the_header_and_colour_order(tmp_path: Path, suffix: str) -> None:
     image = np.zeros((20, 30, 3), np.uint8)
     image[..., 0] = 200  # red
@@ -67,7 +67,30 @@ def test_an_end_marker_inside_an_embedded_thumbnail_does_not_hide_truncation() -
     decode_image(whole + b"trailer some cameras append", "x.jpg")
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
+def test_tiff_and_netpbm_as_other_programs_write_them(tmp_path: Path) -> None:
+    from PIL import Image
+
+    image = panorama(0)
+    for name, options in {
+        "raw": {},
+        "lzw": {"compression": "tiff_lzw"},
+        "deflate": {"compression": "tiff_deflate"},
+    }.items():
+        Image.fromarray(image).save(tmp_path / f"{name}.tif", **options)
+        np.testing.assert_array_equal(read_image(tmp_path / f"{name}.tif"), image)
+    big_endian = b"MM\0*" + struct.pack(">IHHHIHHHHIHH", 8, 2, 256, 3, 1, 64, 0, 257, 3, 1, 32, 0)
+    assert image_size(big_endian) == (64, 32)
+    assert image_size(b"II*\0" + struct.pack("<I", 1 << 20)) is None
+    (tmp_path / "a.pgm").write_bytes(b"P5 # made by hand\n# 7 8\n2 1\n255\n\x07\x09")
+    assert read_size(tmp_path / "a.pgm") == (2, 1)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.pgm")[0, :, 0], [7, 9])
+    for bad in (b"P5 x 1 255", b"P6\n", b"II*\0" + struct.pack("<IH", 8, 0)):
+        (tmp_path / "bad.ppm").write_bytes(bad + b"\0" * 20)
+        with pytest.raises(DatasetError, match="does not say its width and height"):
+            read_size(tmp_path / "bad.ppm")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp", ".tif", ".ppm"])
 def test_every_truncation_is_an_error_never_a_half_grey_image(suffix: str) -> None:
     data = encode_image(panorama(0), suffix)
     for length in np.linspace(0, len(data) - 2, 40).astype(int):
@@ -77,7 +100,7 @@ def test_every_truncation_is_an_error_never_a_half_grey_image(suffix: str) -> No
 
 def test_garbage_never_raises_anything_else() -> None:
     rng = np.random.default_rng(1)
-    for suffix in (".png", ".jpg", ".webp", ".bmp"):
+    for suffix in (".png", ".jpg", ".webp", ".bmp", ".tif", ".ppm"):
         data = bytearray(bytes(cv2.imencode(suffix, panorama(0))[1]))
         for _ in range(60):
             damaged = bytearray(data)

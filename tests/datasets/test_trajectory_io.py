@@ -29,7 +29,7 @@ def test_tum_round_trip(tmp_path: Path) -> None:
         ("1 0 0 x 0 0 0 1", "'x' is not a number"),
         ("nan 0 0 0 0 0 0 1", "'nan' is not a finite"),
         ("inf 0 0 0 0 0 0 1", "'inf' is not a finite"),
-        ("0 0 0 0 0 0 0 1", "not later"),
+        ("0 0 0 1 0 0 0 1", "not later"),
         ("-1 0 0 0 0 0 0 1", "not later"),
         ("1 0 0 0 0 0 0 2", "norm 2"),
     ],

@@ -43,6 +43,8 @@ MASKS = {
     "dark grey": (SEEN * np.uint8(100), "0 is hidden, 100 is seen"),
     "light grey": (np.where(SEEN, 255, 150).astype(np.uint8), "150 is hidden, 255 is seen"),
     "a class of a palette": (np.dstack([0 * SEEN, 0 * SEEN, SEEN * 128]).astype(np.uint8), ""),
+    "red on white": (np.where(SEEN[..., None], np.uint8(255), RED), "what is painted in colour is hidden"),
+    "red on black": (np.where(SEEN[..., None], np.uint8(0), RED), "what is painted in colour is hidden"),
     "an erased photograph": (alpha(PHOTO, SEEN), "transparent pixels are hidden"),
     "erased white": (alpha(255, SEEN), "transparent pixels are hidden"),
     "painted black on nothing": (alpha(0, ~SEEN), "what is painted black is hidden"),

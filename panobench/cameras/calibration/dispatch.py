@@ -147,6 +147,15 @@ def require_size(camera: Camera, width: int, height: int, path: Path | str | Non
     raise CalibrationError(message, path)
 
 
+def is_calibration(path: Path) -> bool:
+    """Whether a file looks like a calibration of a known format; it may have mistakes all the same."""
+    try:
+        _recognise(path)
+    except CalibrationError:
+        return False
+    return True
+
+
 def _module(format: str) -> Any:
     if format not in FORMATS:
         raise UnknownNameError("calibration format", format, FORMATS)

@@ -56,6 +56,9 @@ def _camera(table: Table) -> Camera:
     if size is None:
         raise table.error(f"camera_model '{model}' is not known here; known: pinhole, omni, eucm, ds", "camera_model")
     *shape, fx, fy, cx, cy = table.numbers("intrinsics", size)
+    if lens not in ("none", "radtan", "equidistant"):
+        message = f"distortion_model '{lens}' is not known here; known: radtan, equidistant, none"
+        raise table.error(message, "distortion_model")
     k = tuple(table.numbers("distortion_coeffs")) if "distortion_coeffs" in table else ()
     if len(k) not in (0, 4):
         raise table.error(f"'distortion_coeffs' must have 4 numbers, not {len(k)}", "distortion_coeffs")

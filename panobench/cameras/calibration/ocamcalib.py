@@ -37,9 +37,10 @@ class _Block:
 
 
 def recognise(path: Path, text: str) -> bool:
-    """It starts with a line of numbers; ``read`` says what is wrong with the others."""
+    """It starts with a line of numbers, the first of which counts the others; ``read`` says what is wrong with them."""
     words = next(iter(data_lines(text)), (0, [""]))[1]
-    return len(words) > 1 and all(w.lstrip("+-.").replace(".", "", 1)[:1].isdigit() for w in words)
+    counts = words[0].isascii() and words[0].isdigit() and len(words[0]) < 3
+    return counts and len(words) > 1 and all(w.lstrip("+-.").replace(".", "", 1)[:1].isdigit() for w in words)
 
 
 def read(path: Path, options: ReadOptions) -> Calibration:
