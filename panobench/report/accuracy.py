@@ -153,7 +153,8 @@ def _row(
     A dagger marks a significant difference from the best.
     """
     mine = cells[variant]
-    done, tried = sum(c.value is not None for c in mine), sum(c.text != NOT_RUN for c in mine)
+    # a run without ground truth to compare with has no error, and did not fail for that
+    done, tried = sum(c.text not in (FAILED, NOT_RUN) for c in mine), sum(c.text != NOT_RUN for c in mine)
     row = [Cell(f"{variant.label} †" if place and place.differs else variant.label), *mine]
     if len(mine) > 1:
         mean = place.mean if place else None

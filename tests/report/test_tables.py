@@ -159,6 +159,21 @@ def test_a_method_not_run_everywhere_is_listed_last_and_rules_nothing(make_run):
     assert rows["partial"]["room1"].rank == 1
 
 
+def test_a_run_that_ended_well_on_a_sequence_without_truth_succeeded(make_run):
+    make_run("a")
+    make_run("b", sequence="walk", truth=False, metrics={"ate_rmse_m": None})
+    make_run("c", method="other", sequence="walk", truth=False, metrics={"ate_rmse_m": None})
+    lost = {"sequence": "walk", "truth": False, "metrics": {"ate_rmse_m": None}, "status": "lost", "tracked": 0.5}
+    folder = make_run("d", method="unlucky", **lost).parent
+    found = table(collect([folder]), "ate-rooms")
+    rows = by_label(found)
+    assert rows["panogs"]["walk"].text == "n/a"
+    assert [rows[name]["succeeded"].text for name in ("panogs", "other", "unlucky")] == ["2/2", "1/1", "0/1"]
+    assert {row.cells[0].text: row.facets["status"] for row in found.rows} == {
+        **{"panogs": "ok", "other": "ok", "unlucky": "failed"}
+    }
+
+
 def test_published_rows_need_a_sequence_in_common(make_run):
     alone = make_run("a", sequence="attic")
     assert all(r.origin == "measured" for r in table(collect([alone]), "ate-rooms", PUBLISHED).rows)
