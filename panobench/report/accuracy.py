@@ -20,6 +20,7 @@ from panobench.report.table_model import (
     Column,
     Row,
     Table,
+    format_number,
     length_text,
     length_unit,
     mark_ranks,
@@ -29,21 +30,37 @@ from panobench.report.table_model import (
 from panobench.report.variants import Variant
 
 
-def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published: Published | None = None) -> Table:
-    """Methods by sequences of one dataset: ATE RMSE with coverage, sequences succeeded, and the mean."""
+def accuracy_tables(
+    dataset: str, grouped: Mapping[Variant, list[Run]], published: Published | None = None
+) -> list[Table]:
+    """Methods by sequences of one dataset: ATE RMSE with coverage, sequences succeeded, and the mean.
+
+    Sequences whose ground truth has no scale make a table of their own, in percent of the path; there may be none.
+    """
     here = {v: [r for r in runs if r.dataset == dataset] for v, runs in grouped.items()}
-    here = {v: runs for v, runs in here.items() if runs}
+    shares = {r.sequence for runs in here.values() for r in runs if not r.record.groundtruth_scaled}
+    parts = [{v: [r for r in runs if (r.sequence in shares) == share] for v, runs in here.items()} for share in (0, 1)]
+    lengths, percents = ({v: runs for v, runs in part.items() if runs} for part in parts)
+    tables = [_accuracy_table(dataset, lengths, published, "ate_rmse_m")] if lengths else []
+    return [*tables, *([_accuracy_table(dataset, percents, None, "ate_percent")] if percents else [])]
+
+
+def _accuracy_table(dataset: str, here: Mapping[Variant, list[Run]], published: Published | None, error: str) -> Table:
+    """``error``: the metric shown, "ate_rmse_m" or "ate_percent"."""
     sequences = sorted({r.sequence for runs in here.values() for r in runs}, key=natural)
-    unit, scale = length_unit(
-        [
-            ate
-            for runs in here.values()
-            for r in runs
-            if not failure(r) and not r.given_poses and (ate := r.number("ate_rmse_m")) is not None
-        ]
-    )
+    unit, scale = "%", 1.0
+    if error == "ate_rmse_m":
+        unit, scale = length_unit(
+            [
+                ate
+                for runs in here.values()
+                for r in runs
+                if not failure(r) and not r.given_poses and (ate := r.number(error)) is not None
+            ]
+        )
     cells = {
-        v: [ate_cell([r for r in runs if r.sequence == s], unit, scale) for s in sequences] for v, runs in here.items()
+        v: [ate_cell([r for r in runs if r.sequence == s], unit, scale, error) for s in sequences]
+        for v, runs in here.items()
     }
     judged = [v for v in cells if not given(here[v])]
     everywhere = [v for v in judged if all(c.text != NOT_RUN for c in cells[v])] or judged
@@ -64,6 +81,8 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
     rows += [_published_row(label, values, unit, common, block.flags) for label, values in block.rows]
     notes = block.notes
     caption = f"ATE RMSE in {unit} after alignment. Lower is better."
+    if error == "ate_percent":
+        caption = "ATE RMSE after alignment in % of the path: the ground truth has no scale. Lower is better."
     below = "Below each, the share of frames tracked."
     if any(cell.repeats > 1 for row in rows for cell in row.cells):
         caption += " Cells with repeats show the median of their runs."
@@ -80,9 +99,10 @@ def accuracy_table(dataset: str, grouped: Mapping[Variant, list[Run]], published
     notes = (*notes, *_truth_notes([r for runs in here.values() for r in runs]))
     if any(p.differs for p in order):
         notes = (*notes, "† differs significantly from the first method (see the ranking rule).")
-    return Table(
-        f"ate-{dataset}", f"Trajectory accuracy, {dataset}", caption, tuple(columns), tuple(rows), notes, below
-    )
+    name, title = f"ate-{dataset}", f"Trajectory accuracy, {dataset}"
+    if error == "ate_percent":
+        name, title = f"ate-percent-{dataset}", f"{title}, in percent of the path"
+    return Table(name, title, caption, tuple(columns), tuple(rows), notes, below)
 
 
 def _truth_notes(runs: Sequence[Run]) -> list[str]:
@@ -97,26 +117,31 @@ def _truth_notes(runs: Sequence[Run]) -> list[str]:
     return list(found)
 
 
-def ate_cell(runs: Sequence[Run], unit: str, scale: float) -> Cell:
-    """Repeats of one variant on one sequence as one cell; ``scale`` takes metres to ``unit``."""
+def ate_cell(runs: Sequence[Run], unit: str, scale: float, error: str = "ate_rmse_m") -> Cell:
+    """Repeats of one variant on one sequence as one cell; ``scale`` takes the metric ``error`` to ``unit``."""
     if not runs:
         return Cell(NOT_RUN, about="not run")
     reasons = [reason for r in runs if (reason := failure(r))]
     covered = [t for r in runs if (t := r.number("tracked")) is not None]
     coverage = min(covered) if covered else None
     values: list[float | None] = [None] * len(reasons)
-    values += [a * scale for r in runs if not failure(r) and (a := r.number("ate_rmse_m")) is not None]
+    values += [a * scale for r in runs if not failure(r) and (a := r.number(error)) is not None]
     summary = summarise(values)
     if summary is None:
-        reasons = [note for r in runs if (note := r.record.notes.get("ate_rmse_m"))]
+        reasons = [note for r in runs if (note := r.record.notes.get(error))]
         return Cell(NOT_AVAILABLE, coverage=coverage, about=next(iter(reasons), "no ground truth to compare with"))
     if not math.isfinite(summary.median):
         return Cell(FAILED, coverage=coverage, failed=True, about=", ".join(sorted(set(reasons))), repeats=len(runs))
     part = conditions(runs, ("every", "max_frames"))  # other frames are other data
-    spread = spread_text(summary, lambda v: length_text(v, unit))
+    spread = spread_text(summary, lambda v: error_text(v, unit))
     about = f"{len(reasons)} of {len(runs)} repeats failed" if reasons else ""
-    text = length_text(summary.median, unit)
+    text = error_text(summary.median, unit)
     return Cell(text, summary.median, coverage, spread=spread, about=about, repeats=len(runs), group=part)
+
+
+def error_text(value: float, unit: str) -> str:
+    """An error already in ``unit``: a length, or a share of the path."""
+    return format_number(value, 3) if unit == "%" else length_text(value, unit)
 
 
 def common_sequences(rows: Sequence[Sequence[Cell]]) -> list[int]:
@@ -159,7 +184,7 @@ def _row(
     if len(mine) > 1:
         mean = place.mean if place else None
         row.append(Cell(f"{done}/{tried}", float(done)))
-        row.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
+        row.append(Cell(NOT_RUN) if mean is None else Cell(error_text(mean, unit), mean))
     facets = {"method": variant.method, "status": "ok" if done == tried else "failed"}
     mine_runs = runs[variant]
     return Row(
@@ -195,12 +220,12 @@ def _published_row(
             cells.append(Cell(FAILED, failed=True, about="failure in the source"))
         else:
             absent = Cell(NOT_RUN, about="nothing is published")
-            cells.append(absent if math.isnan(value) else Cell(length_text(value, unit), value))
+            cells.append(absent if math.isnan(value) else Cell(error_text(value, unit), value))
     if len(values) > 1:
         tried = sum(v is None or not math.isnan(v) for v in values)
         done = sum(v is not None and not math.isnan(v) for v in values)
         cells.append(Cell(f"{done}/{tried}", float(done)))
         shared = [v for j in common if (v := values[j]) is not None and not math.isnan(v)]
         mean = sequence_mean(shared) if len(shared) == len(common) else None
-        cells.append(Cell(NOT_RUN) if mean is None else Cell(length_text(mean, unit), mean))
+        cells.append(Cell(NOT_RUN) if mean is None else Cell(error_text(mean, unit), mean))
     return Row(tuple(cells), "published", {"method": label, "status": "published"}, flags=told, facts={"method": label})

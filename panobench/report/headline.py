@@ -68,13 +68,15 @@ def tiles(collection: Collection, grouped: Mapping[Variant, Sequence[Run]]) -> l
 def run_tiles(run: Run) -> list[Tile]:
     out: list[Tile] = []
     reason, ate, tracked = failure(run), run.number("ate_rmse_m"), run.number("tracked")
+    share = run.number("ate_percent")
     if reason:
         out.append(Tile("Result", "failed", note=reason))
     if ate is not None and not run.given_poses:
         kind = run.errors.alignment if run.errors else "RMSE"
-        share = run.number("ate_percent")
         note = f"{kind}, {share:.2f}% of the path" if share is not None else kind
         out.append(Tile("ATE RMSE", length_text(ate * 1e3, "mm"), "mm", note))
+    elif share is not None and not run.given_poses:
+        out.append(Tile("ATE RMSE", f"{share:.2f}", "% of the path", "the ground truth has no scale"))
     truth, planned = run.record.truth, run.record.frames.planned
     if truth is not None and planned and truth.frames < planned:
         out.append(Tile("Ground truth", str(truth.frames), "frames", f"of {planned}: the others do not count"))

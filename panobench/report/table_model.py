@@ -146,11 +146,16 @@ def mark_ranks(columns: Sequence[Column], rows: list[Row]) -> list[Row]:
 
 
 def drop_empty_columns(table: Table) -> Table:
-    """The table without numeric columns in which no row has a value or a failure."""
+    """The table without numeric columns in which no row has a value or a failure.
+
+    Sequences stay where another has something: rows count how many of them succeeded.
+    """
+    filled = [
+        any(r.cells[j].value is not None or r.cells[j].failed for r in table.rows) for j in range(len(table.columns))
+    ]
+    some = any(full and column.sequence for full, column in zip(filled, table.columns))
     keep = [
-        j
-        for j, column in enumerate(table.columns)
-        if not column.numeric or any(r.cells[j].value is not None or r.cells[j].failed for r in table.rows)
+        j for j, column in enumerate(table.columns) if not column.numeric or filled[j] or (some and column.sequence)
     ]
     rows = tuple(replace(r, cells=tuple(r.cells[j] for j in keep)) for r in table.rows)
     return replace(table, columns=tuple(table.columns[j] for j in keep), rows=rows)

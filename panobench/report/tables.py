@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from panobench.bench.paper import Published
 from panobench.bench.request import run_options
 from panobench.bench.statistics import summarise
-from panobench.report.accuracy import accuracy_table, competes, conditions, facts, flags
+from panobench.report.accuracy import accuracy_tables, competes, conditions, facts, flags
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
 from panobench.report.studies import study_tables
@@ -92,7 +92,7 @@ def run_tables(collection: Collection, published: Published | None = None) -> li
     tables: list[Table] = []
     works = {run.dataset for run in collection.runs if not failure(run)}
     for dataset in sorted({run.dataset for run in collection.runs}, key=lambda name: (name not in works, name)):
-        tables.append(accuracy_table(dataset, grouped, published))
+        tables += accuracy_tables(dataset, grouped, published)
     tables.append(metric_table(grouped))
     tables.append(quantity_table("rendering", "Rendering quality", RENDERING, grouped))
     tables.append(quantity_table("cost", "Cost", COST, grouped))

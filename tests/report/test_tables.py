@@ -174,6 +174,30 @@ def test_a_run_that_ended_well_on_a_sequence_without_truth_succeeded(make_run):
     }
 
 
+def test_errors_against_truth_without_scale_are_shares_of_the_path(make_run):
+    folders = [make_run("a", noise=0.004), make_run("b"), make_run("c", method="other", noise=0.003)]
+    for folder, sequence in zip(folders, ("room1", "walk", "walk")):
+        path = folder / "run.json"
+        record = json.loads(path.read_text())
+        if sequence == "walk":
+            record["groundtruth_scaled"], record["spec"]["sequence"] = False, sequence
+            share = record["metrics"].pop("ate_rmse_m") * 10
+            record["metrics"] |= {"ate_percent": share}
+        path.write_text(json.dumps(record))
+    collection = collect([folders[0].parent])
+    found = table(collection, "ate-percent-rooms")
+    assert found.title == "Trajectory accuracy, rooms, in percent of the path"
+    assert "the ground truth has no scale" in found.caption
+    assert [(c.key, c.unit) for c in found.columns] == [("method", ""), ("walk", "%")]
+    rows = by_label(found)
+    assert rows["panogs"]["walk"].text == "0.017"
+    assert (rows["panogs"]["walk"].rank, rows["other"]["walk"].rank) == (1, 2)
+    assert [c.key for c in table(collection, "ate-rooms").columns] == ["method", "room1"]
+    alone = collect([folders[1]])
+    assert [t.name for t in build_tables(alone) if t.name.startswith("ate")] == ["ate-percent-rooms"]
+    assert ("ATE RMSE", "0.02", "% of the path") in [(t.name, t.value, t.unit) for t in tiles(alone, variants(alone))]
+
+
 def test_published_rows_need_a_sequence_in_common(make_run):
     alone = make_run("a", sequence="attic")
     assert all(r.origin == "measured" for r in table(collect([alone]), "ate-rooms", PUBLISHED).rows)
