@@ -108,6 +108,8 @@ class BagFile:
         self._cursor: _Cursor | None = None
         self.topics: dict[str, Topic] = {}
         for connection in (c for reader in self._readers for c in reader.connections):
+            if not isinstance(connection.topic, str) or not isinstance(connection.msgtype, str):  # SQLite has any type
+                raise DatasetError("the bag is damaged: a topic has no name or type", path)
             have = self.topics.get(connection.topic, Topic(connection.msgtype, 0))
             kind = have.kind if have.kind == connection.msgtype else "mixed types"
             self.topics[connection.topic] = Topic(kind, have.count + int(connection.msgcount))
