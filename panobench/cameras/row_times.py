@@ -45,6 +45,14 @@ def rates_along(times: Array, T_wc: Array) -> Array:
     return np.concatenate([first, middle, last])
 
 
+def velocities_along(times: Array, T_wc: Array) -> Array:
+    """Velocities (N, 3) at ``times`` (N,) along poses (N, 4, 4), per second in the camera's axes."""
+    if len(T_wc) < 3:
+        return np.zeros((len(T_wc), 3))
+    velocity = np.gradient(T_wc[:, :3, 3], times, axis=0, edge_order=2)
+    return np.asarray(np.einsum("nji,nj->ni", T_wc[:, :3, :3], velocity))
+
+
 def rotated(rays: Array, seconds: Array, rate: Array) -> Array:
     """Rays (..., 3), each rotated by ``rate`` (3,) or (..., 3), rad/s, for its own time (...) (Rodrigues' formula)."""
     speed = np.linalg.norm(rate, axis=-1)

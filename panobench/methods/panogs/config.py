@@ -50,6 +50,17 @@ class RollingShutterOptions(Options):
 
 
 @dataclass(frozen=True)
+class StitchOptions(Options):
+    """Panoramas stitched from two lenses back to back, which see things near the seam from two places."""
+
+    baseline_mm: float = option(0.0, "distance between the two lenses; 0: one centre", unit="mm")
+    distance_m: float | None = option(
+        None, "distance of what is stitched without a seam; 0: infinite; none: the scene's", unit="m"
+    )
+    most_px: float = option(1.0, "parallax at the seam from which it is left out; 0: never", unit="px")
+
+
+@dataclass(frozen=True)
 class TrackingOptions(Options):
     """Alignment of a frame to renders of the map."""
 
@@ -239,6 +250,7 @@ class PanogsConfig(Options):
     start: StartOptions = field(default_factory=StartOptions)
     exposure: ExposureOptions = field(default_factory=ExposureOptions)
     rolling_shutter: RollingShutterOptions = field(default_factory=RollingShutterOptions)
+    stitch: StitchOptions = field(default_factory=StitchOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
     relocalisation: RelocalisationOptions = field(default_factory=RelocalisationOptions)
     keyframes: KeyframeOptions = field(default_factory=KeyframeOptions)

@@ -29,9 +29,11 @@ from panobench.methods.panogs.fixed_lag import FixedLag
 from panobench.methods.panogs.jobs import BackgroundJobs
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.place_recognition import Places
+from panobench.methods.panogs.rectify import Rectifier
 from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.revisits import RevisitFactors
 from panobench.methods.panogs.rolling_shutter import RollingShutter
+from panobench.methods.panogs.seam import Seam
 from panobench.methods.panogs.start import FirstMap, Start
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
@@ -84,7 +86,8 @@ class PanogsMethod(OnlineMethod):
         self.relocaliser = Relocaliser(self.tracker, self.places, c.relocalisation)
         self.mapper = Mapper(camera, renderer, c, self.trajectory, context.seed)
         self.tracker.transients = self.mapper.transients
-        self.shutter = RollingShutter(camera, c.rolling_shutter)
+        self.shutter, self.seam = RollingShutter(camera, c.rolling_shutter), Seam(camera, c.stitch)
+        self.rectifier = Rectifier(camera, self.shutter, self.seam)
         self.exposure = ExposureMatcher(self.mapper.weights, width, c.exposure)
         self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)
         buffer = self.lag.buffer
@@ -93,7 +96,7 @@ class PanogsMethod(OnlineMethod):
         self.jobs = BackgroundJobs(self.mapper, self.trajectory, self.graph, self.lag, width)
         self.trajectory.followers = [self.mapper, self.tracker, self.relocaliser]
 
-        self.first_frames = Start(camera, context, c.start, self.exposure, self.shutter)
+        self.first_frames = Start(camera, context, c.start, self.exposure, self.rectifier)
         self.first_depth: DepthEstimate | None = None
         self.before_first: list[Frame] = []  # frames before the one whose depth the map starts from
         self.numbers: dict[int, dict[str, float]] = {}
@@ -147,9 +150,10 @@ class PanogsMethod(OnlineMethod):
         self._note(frame, mapping_s=time.perf_counter() - began - tracking_s)
 
     def _track(self, frame: Frame) -> tuple[Frame, Tracked]:
-        """Align the frame to the map; with a rolling shutter, the frame as a global one would have seen it."""
-        gaussians, given, rate = self.mapper.map.gaussians, frame.image, self.shutter.predicted_rate(frame.index)
-        frame = replace(frame, image=self.shutter.rectified(given, rate)) if self.shutter.enabled else frame
+        """Align the frame to the map; the frame as a global shutter with one centre would have seen it."""
+        gaussians, given, rate = self.mapper.map.gaussians, frame, self.shutter.predicted_rate(frame.index)
+        if self.shutter.enabled:
+            frame = replace(frame, image=self.rectifier.turned(given.image, rate))
         expected = self.inertial.expect(frame.time)
         if expected is not None:
             if self.relocaliser.lost_for:  # the last render may be of far away
@@ -158,12 +162,13 @@ class PanogsMethod(OnlineMethod):
                 self.tracker.expect(expected)
         before = self.tracker.T_last
         tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
-        if self.shutter.enabled and before is not None:
+        if self.rectifier.enabled and before is not None:
             measured, velocity = self.shutter.measured(frame.index, frame.time, tracked.T_wc)
             travels = self.shutter.travels(velocity, self.mapper.local_depth(tracked.render))
-            if travels or self.shutter.differ(measured, rate):
+            if travels or self.shutter.differ(measured, rate) or self.seam.lenses is not None:
                 depth_map = tracked.render.expected_depth(0.5)
-                frame = replace(frame, image=self.shutter.rectified(given, measured, velocity, depth_map))
+                image = self.rectifier.rectified(given.image, measured, velocity, depth_map)
+                frame = replace(given, image=image, mask=self.seam.visible(depth_map, given.mask))
                 self.tracker.reset(before, invert_pose(before) @ tracked.T_wc)
                 tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
         return frame, tracked

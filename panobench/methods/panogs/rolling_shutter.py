@@ -1,52 +1,17 @@
-"""Rolling shutter: frames are rectified to the moment of their middle row before anything else sees them.
-
-While the rows of a frame are read, the camera rotates and travels: each row sees the scene from another pose. With a
-known readout time and angular velocity the image can be rotated back row by row, and with depth and velocity what it
-travelled can be undone, too. (Compare Forssen and Ringaby, "Rectifying rolling shutter video from
-hand-held devices", CVPR 2010.)
-"""
+"""Rolling shutter: the time from a frame's first row to its last, and how the camera moved meanwhile."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from panobench.cameras.base import Camera
-from panobench.cameras.row_times import rates_along, rotated, row_times
+from panobench.cameras.row_times import rates_along, velocities_along
 from panobench.geometry import so3_log
 from panobench.methods.panogs.config import RollingShutterOptions
-from panobench.photometric.pyramid import F32
-from panobench.photometric.stereo import resize_panorama
 from panobench.types import Frame
 
 Pose = NDArray[np.float64]
-Image = NDArray[np.uint8]
-#: Displacements are worked out for one pixel in so many across and down (the first that divides the image), and
-#: interpolated.
-GRIDS_PX = (4, 2)
-#: A pixel farther away than this has no part in a spline's value.
-SPLINE_REACH = 12
-
-
-def resampled(image: Image, at: F32, *, wrap: bool) -> Image:
-    """The image (H, W, 3) at pixel indices ``at`` (H, W, 2), by cubic B-splines. wrap: columns go on at the other side.
-
-    OpenCV's bicubic kernel moves what it interpolates by up to 0.05 pixels, and rounds positions to 1/32: more than
-    tracking is off by.
-    """
-    if wrap:
-        image = np.concatenate([image[:, -SPLINE_REACH:], image, image[:, :SPLINE_REACH]], axis=1)
-        at = np.stack([np.mod(at[..., 0], image.shape[1] - 2 * SPLINE_REACH) + SPLINE_REACH, at[..., 1]], axis=-1)
-    where = (at[..., 1], at[..., 0])
-    out = np.empty((*at.shape[:2], image.shape[2]), dtype=np.uint8)
-    for k in range(image.shape[2]):
-        spline = ndimage.spline_filter(image[..., k], 3, output=np.float32, mode="nearest")
-        values = ndimage.map_coordinates(spline, where, order=3, prefilter=False, mode="nearest")
-        out[..., k] = np.clip(np.rint(values), 0, 255)
-    return out
 
 
 class RollingShutter:
@@ -57,11 +22,6 @@ class RollingShutter:
         self.unknown = options.readout_ms is None
         self.pixel = float(np.sqrt(np.median(camera.solid_angle()[camera.valid_mask()])))
         self.least = options.least_px * self.pixel
-        grid = next((g for g in GRIDS_PX if camera.width % (2 * g) == 0 and camera.height % g == 0), 1)
-        self.coarse = camera.scaled(camera.width // grid) if self.maybe and grid > 1 else camera
-        self.rays = np.nan_to_num(self.coarse.rays())
-        v, u = np.indices((camera.height, camera.width), dtype=np.float32)
-        self.pixels = np.stack([u, v], axis=-1)
         self._known: dict[int, tuple[Pose, Pose]] = {}
         self._last: tuple[float, Pose] | None = None  # time and pose of the last frame
         self._steps: list[
@@ -70,35 +30,23 @@ class RollingShutter:
 
     @property
     def enabled(self) -> bool:
-        return self.readout_s > 0
+        return self.readout_s != 0
 
     @property
     def maybe(self) -> bool:
         """It has a rolling shutter, or nobody knows yet."""
         return self.enabled or self.unknown
 
-    def estimate(self, frames: list[Frame], seed: int, log: Callable[[str], None]) -> None:
-        """Find the readout from the first frames, by the feature tracks of ``sparse``, if it is not given."""
-        if not self.unknown:
-            return
-        self.unknown = False
-        from panobench.methods.base import MethodContext
-        from panobench.methods.sparse.config import SparseConfig
-        from panobench.methods.sparse.method import SparseMethod
-
-        tracks = SparseMethod(SparseConfig(loops=False, keyframe_gap=1, readout_ms=None))
-        tracks.start(self.camera, MethodContext(seed=seed, log=log))
-        for frame in frames:
-            tracks.track(frame)
-        self.readout_s = 1e-3 * float(tracks.finish().extra.get("readout_ms", 0.0))
+    def tell(self, readout_s: float) -> None:
+        """What was found of a readout that nobody knew; 0 for a global shutter."""
+        self.readout_s, self.unknown = readout_s, False
 
     def know(self, frames: list[Frame], T_wc: dict[int, Pose]) -> None:
         """Take the motion of ``frames`` from their poses (4, 4) by index, at least three: the start has no past."""
         posed = [f for f in frames if f.index in T_wc]
         times, T = np.array([f.time for f in posed]), np.stack([T_wc[f.index] for f in posed])
-        velocity = np.gradient(T[:, :3, 3], times, axis=0, edge_order=2)
-        local = np.einsum("nji,nj->ni", T[:, :3, :3], velocity)
-        self._known = {f.index: (w, v) for f, w, v in zip(posed, rates_along(times, T), local)}
+        rates, velocities = rates_along(times, T), velocities_along(times, T)
+        self._known = {f.index: (w, v) for f, w, v in zip(posed, rates, velocities)}
 
     def motion(self, index: int) -> tuple[Pose, Pose] | None:
         """Angular velocity (3,) and velocity (3,) of a frame that is known, in the camera's axes."""
@@ -145,49 +93,11 @@ class RollingShutter:
 
     def differ(self, rate: Pose, other: Pose) -> bool:
         """Whether two angular velocities (3,) rectify pixels to plainly different places."""
-        return float(np.linalg.norm(rate - other)) * 0.5 * self.readout_s > self.least
+        return float(np.linalg.norm(rate - other)) * 0.5 * abs(self.readout_s) > self.least
 
     def travels(self, velocity: Pose, scene_depth: float) -> bool:
         """Whether what the camera travels at ``velocity`` (3,) moves pixels plainly, at a depth in the same unit."""
-        return float(np.linalg.norm(velocity)) * 0.5 * self.readout_s / max(scene_depth, 1e-9) > self.least
-
-    def rectified(self, image: Image, rate: Pose, velocity: Pose | None = None, depth_map: F32 | None = None) -> Image:
-        """The image (H, W, 3) as a global shutter would have seen it at its middle row.
-
-        rate (3,): rad/s. velocity (3,) a second, with the radial depth (H, W) of the image in the same unit, NaN or 0
-        where it is unknown: also what the camera travels is undone. Both in the camera's axes.
-        """
-        if velocity is None and not self.differ(rate, np.zeros(3)):
-            return image
-        towards = np.zeros(3)
-        if velocity is not None and depth_map is not None:
-            towards = velocity * self._inverse(depth_map)[..., None]
-        # A direction of the middle is seen by the row that sees it then: one step of fixed-point iteration finds it.
-        seen = self.rays
-        for _ in range(2):
-            at = self.readout_s * row_times(self.coarse, seen)
-            seen = rotated(self.rays - towards * at[..., None], -at, rate)
-        return resampled(image, self.pixels + self._shifts(seen), wrap=self.camera.kind == "erp")
-
-    def _inverse(self, depth_map: F32) -> Pose:
-        """1 / depth (h, w) on the coarse grid, 0 where it is unknown."""
-        grid = self.camera.width // self.coarse.width
-        coarse = depth_map[grid // 2 :: grid, grid // 2 :: grid].astype(np.float64)
-        known = np.isfinite(coarse) & (coarse > 0)
-        return np.where(known, 1.0 / np.where(known, coarse, 1.0), 0.0)
-
-    def _shifts(self, seen: Pose) -> F32:
-        """Displacement (H, W, 2) of each pixel, from the directions (h, w, 3) in which the coarse ones are seen."""
-        panorama = self.camera.kind == "erp"
-        h, w = seen.shape[:2]
-        pixels, valid = self.coarse.project(seen.reshape(-1, 3))
-        own, _ = self.coarse.project(self.rays.reshape(-1, 3))
-        shift = np.where(valid[:, None], pixels - own, 0.0).reshape(h, w, 2)
-        if panorama:
-            shift[..., 0] = (shift[..., 0] + 0.5 * w) % w - 0.5 * w
-        shift = (shift * (self.camera.width / w)).astype(np.float32)
-        size = (self.camera.height, self.camera.width)
-        return np.stack([resize_panorama(shift[..., k], size, panorama) for k in (0, 1)], axis=-1)
+        return float(np.linalg.norm(velocity)) * 0.5 * abs(self.readout_s) / max(scene_depth, 1e-9) > self.least
 
     def _between(self, time: float, T_wc: Pose) -> Pose:
         assert self._last is not None

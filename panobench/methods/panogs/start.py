@@ -8,14 +8,14 @@ import numpy as np
 
 from panobench.cameras.base import Camera
 from panobench.cameras.row_times import rates_along
+from panobench.geometry import invert_pose
 from panobench.methods.base import MethodContext
+from panobench.methods.panogs import first_tracks
 from panobench.methods.panogs.config import StartOptions
 from panobench.methods.panogs.exposure import ExposureMatcher
-from panobench.methods.panogs.rolling_shutter import RollingShutter
+from panobench.methods.panogs.rectify import Rectifier
+from panobench.photometric.pyramid import F32
 from panobench.types import DepthEstimate, Frame
-
-#: From so many frames an unknown readout of a rolling shutter is estimated.
-READOUT_FRAMES = 20
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,16 @@ class Start:
         context: MethodContext,
         options: StartOptions,
         exposure: ExposureMatcher,
-        shutter: RollingShutter,
+        rectifier: Rectifier,
     ) -> None:
         self.camera, self.context, self.options = camera, context, options
-        self.exposure, self.shutter = exposure, shutter
+        self.exposure, self.rectifier = exposure, rectifier
+        self.shutter, self.seam = rectifier.shutter, rectifier.seam
         self.estimator = context.make_depth() if context.make_depth else None
         if self.estimator:
             self.estimator.start(camera, context.seed)
         self.frames: list[Frame] = []
-        self.held: DepthEstimate | None = None  # while more frames have to tell the readout
+        self.held: DepthEstimate | None = None  # while more frames have to tell of the camera
 
     def add(self, frame: Frame) -> FirstMap | None:
         """Take the next frame; answers as soon as a map can be started."""
@@ -59,8 +60,13 @@ class Start:
         self.frames.append(frame)
         if self.held is None:
             self.held = self._estimate(frame)
-        few = self.shutter.unknown and len(self.frames) < READOUT_FRAMES
+        few = self._learns and len(self.frames) < first_tracks.FRAMES
         return None if self.held is None or few else self._first_map(self.held)
+
+    @property
+    def _learns(self) -> bool:
+        """Whether feature tracks have something to tell."""
+        return self.shutter.unknown or self.seam.stitched
 
     def finish(self) -> FirstMap | None:
         """No more frames come: the best that can be said, if anything."""
@@ -79,14 +85,19 @@ class Start:
         if estimate.message:
             (self.context.log if estimate.ok else self.context.warn)(estimate.message)
         frames, self.frames, self.held = self.frames, [], None
-        self.shutter.estimate(frames, self.context.seed, self.context.log)
-        rolling = self.shutter.enabled and len(estimate.T_wc) > 2
-        if rolling:
-            estimate = self._estimate_rectified(frames, estimate)
+        if self._learns:
+            first_tracks.learn_from_tracks(self.camera, frames, estimate.T_wc, self.shutter, self.seam, self.context)
+        rectifies = self.rectifier.enabled and len(estimate.T_wc) > 2
+        if rectifies:
+            failed, estimate = not estimate.ok, self._estimate_rectified(frames, estimate)
+            if failed and estimate.ok:
+                self.context.log(f"rectified: {estimate.message}")
         first = next(f for f in frames if f.index == estimate.frame_index)
-        motion = self.shutter.motion(first.index) if rolling else None
-        if motion is not None:
-            first = replace(first, image=self.shutter.rectified(first.image, *motion, estimate.depth))
+        if rectifies:
+            still = np.zeros(3), np.zeros(3)
+            rate, velocity = self.shutter.motion(first.index) or still
+            image = self.rectifier.rectified(first.image, rate, velocity, estimate.depth)
+            first = replace(first, image=image, mask=self.seam.visible(estimate.depth, first.mask))
         return FirstMap(estimate, first, frames)
 
     def _estimate_rectified(self, frames: list[Frame], estimate: DepthEstimate) -> DepthEstimate:
@@ -99,11 +110,22 @@ class Start:
         estimator.start(self.camera, self.context.seed)
         found: DepthEstimate | None = None
         for frame, rate in zip(posed, rates):
-            image = self.exposure.before(self.shutter.rectified(frame.image, rate))
-            found = estimator.add(replace(frame, image=image))
+            image = self.rectifier.turned(frame.image, rate)
+            if self.seam.lenses is not None:
+                depth_map = self._seen_from(estimate, frame.index)
+                image = self.rectifier.rectified(frame.image, rate, np.zeros(3), depth_map)
+            found = estimator.add(replace(frame, image=self.exposure.before(image)))
             if found is not None:
                 break
         found = found or estimator.finish() or estimate
         if len(found.T_wc) > 2:
             self.shutter.know(frames, found.T_wc)
         return found
+
+    def _seen_from(self, estimate: DepthEstimate, index: int) -> F32:
+        """The first depth (H, W) turned to another frame; what that frame has moved is small beside the depth."""
+        T = invert_pose(estimate.T_wc[estimate.frame_index]) @ estimate.T_wc[index]
+        pixels, _ = self.camera.project((np.nan_to_num(self.camera.rays()) @ T[:3, :3].T).reshape(-1, 3))
+        h, w = estimate.depth.shape
+        u, v = np.floor(np.nan_to_num(pixels)).astype(int).T
+        return estimate.depth[np.clip(v, 0, h - 1), np.mod(u, w)].reshape(h, w)

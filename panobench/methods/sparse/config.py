@@ -41,3 +41,9 @@ class SparseConfig(Options):
     readout_ms: float | None = option(
         0.0, "time from the first row of a lens to its last; 0: global shutter; none: estimated", unit="ms"
     )
+    stitch_mm: float = option(
+        0.0, "distance between the two lenses back to back that a panorama is stitched from; 0: one centre", unit="mm"
+    )
+    stitch_m: float | None = option(
+        None, "distance of what is stitched without a seam; 0: infinite; none: the scene's", unit="m"
+    )

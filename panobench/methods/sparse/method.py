@@ -39,6 +39,7 @@ from panobench.methods.sparse.rig_faces import RigFaces, build_rig_faces
 from panobench.methods.sparse.rotation import RotationFinder
 from panobench.methods.sparse.scale import METRIC_SIGMA, adjust_scale, is_due, scale_sigma
 from panobench.methods.sparse.session import Session
+from panobench.methods.sparse.stitched import undo_stitching
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame, update_candidates
 from panobench.types import Estimate, Frame, Trajectory
 
@@ -292,10 +293,12 @@ class SparseMethod(OnlineMethod):
             if m.lenses.several:
                 self._adjust_scale(session)
             extra["reprojection_px"] = adjust_window(m, self.config, focal, everything, self.config.final_ba)
+        if self.config.stitch_mm and self.camera.kind == "erp" and not m.lenses.several:
+            session.grew(undo_stitching(m, session.records, self.config, focal, extra))
         if self.rig_faces is None:
             readout_s = correct_shutter(session, self.camera, self.config, focal, self.context.log)
             extra["readout_ms"] = round(1e3 * readout_s, 2)
-        by_lenses = m.lenses.several and self._judge_scale(m, extra)
+        by_lenses = self.face_set.lenses.several and self._judge_scale(m, extra)
         poses = refined_poses(session, self.config, focal)
         extra["points"] = int((m.state == ACTIVE).sum())
         metric = self._metric(session, poses, sessions)

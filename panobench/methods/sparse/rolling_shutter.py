@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from panobench.cameras.base import Camera
-from panobench.cameras.row_times import rates_along, rotated, row_times
+from panobench.cameras.row_times import rates_along, rotated, row_times, velocities_along
 from panobench.methods.sparse.bundle import bundle_adjust
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
@@ -53,6 +53,7 @@ class RowBearings:
         self.records = sorted(records, key=lambda r: r.index)
         self.measured = [r.bearings.astype(np.float64) for r in self.records]
         self.rates: dict[int, Array] = {}
+        self.velocities: dict[int, Array] = {}
         for key in m.keyframes:
             key.measured = key.bearings.copy()
 
@@ -60,11 +61,18 @@ class RowBearings:
         """Take the angular velocities from the poses (N, 4, 4) of the frames, in the order of their indices."""
         times = np.array([r.time for r in self.records])
         self.rates = {r.index: rate for r, rate in zip(self.records, rates_along(times, T_wc))}
+        self.velocities = {r.index: v for r, v in zip(self.records, velocities_along(times, T_wc))}
 
     def of_keyframe(self, key: Keyframe, readout_s: float) -> Array:
         """Bearings (n, 3) of a keyframe's observations at its middle row."""
         assert key.measured is not None
         return self._turned(key.measured, readout_s, self.rates.get(key.frame, np.zeros(3)))
+
+    def origins(self, key: Keyframe, readout_s: float) -> Array:
+        """Where these bearings begin (n, 3), in the axes of the middle row: what the camera travelled since."""
+        assert key.measured is not None
+        rows = self._row_times(key.measured)
+        return np.asarray(readout_s * rows[:, None] * self.velocities.get(key.frame, np.zeros(3)))
 
     def turn(self, readout_s: float) -> None:
         """Give keyframes and frames their bearings at the middle row."""
@@ -74,8 +82,10 @@ class RowBearings:
             record.bearings = self._turned(measured, readout_s, self.rates[record.index]).astype(np.float32)
 
     def _turned(self, bearings: Array, readout_s: float, rate: Array) -> Array:
-        rows = row_times(self.camera, bearings[:, None])[:, 0] if len(bearings) else np.zeros(0)
-        return rotated(bearings, readout_s * rows, rate)
+        return rotated(bearings, readout_s * self._row_times(bearings), rate)
+
+    def _row_times(self, bearings: Array) -> Array:
+        return row_times(self.camera, bearings[:, None])[:, 0] if len(bearings) else np.zeros(0)
 
 
 def estimate_readout(rows: RowBearings, m: PointMap, config: SparseConfig, focal: float) -> Readout:
@@ -98,7 +108,8 @@ def estimate_readout(rows: RowBearings, m: PointMap, config: SparseConfig, focal
 
     def cost(readout_s: float) -> float:
         b = np.concatenate([rows.of_keyframe(m.keyframes[k], readout_s)[use] for k, use in used])
-        return bundle_adjust(T, m.position[ids], frames, points, b, fixed, focal, config.huber_px, 15).cost
+        o = np.concatenate([rows.origins(m.keyframes[k], readout_s)[use] for k, use in used])
+        return bundle_adjust(T, m.position[ids], frames, points, b, fixed, focal, config.huber_px, 15, o).cost
 
     found = minimize_scalar(cost, bounds=BOUNDS, method="bounded", options={"xatol": 2e-4, "maxiter": 14})
     best, gain = float(found.x), 1.0 - float(found.fun) / max(cost(0.0), 1e-12)

@@ -10,12 +10,18 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.row_times import row_times
 from panobench.geometry import make_pose, so3_exp
-from panobench.methods.panogs.config import RollingShutterOptions
-from panobench.methods.panogs.rolling_shutter import RollingShutter, resampled
+from panobench.methods.panogs.config import RollingShutterOptions, StitchOptions
+from panobench.methods.panogs.rectify import Rectifier, resampled
+from panobench.methods.panogs.rolling_shutter import RollingShutter
+from panobench.methods.panogs.seam import Seam
 from panobench.types import Frame
 
 READOUT = 0.02
 OPTIONS = RollingShutterOptions(readout_ms=1e3 * READOUT)
+
+
+def rectifier_of(camera: Camera, options: RollingShutterOptions = OPTIONS) -> Rectifier:
+    return Rectifier(camera, RollingShutter(camera, options), Seam(camera, StitchOptions()))
 
 
 def world(d: np.ndarray) -> np.ndarray:
@@ -39,7 +45,7 @@ def test_a_rotating_camera_sees_what_a_still_one_sees(camera: Camera, rate: tupl
     image, still = seen(camera, w), seen(camera, np.zeros(3))
     inner = np.s_[12:-12, 12:-12]  # at a pinhole's rim there is nothing to take
     before = np.abs(image.astype(float) - still)[inner].mean()
-    after = np.abs(RollingShutter(camera, OPTIONS).rectified(image, w).astype(float) - still)[inner].mean()
+    after = np.abs(rectifier_of(camera).turned(image, w).astype(float) - still)[inner].mean()
     assert before > 1.5
     assert after < 0.15 * before + 0.5  # half a level is rounding
 
@@ -67,12 +73,12 @@ def test_what_the_camera_travels_is_undone_where_depth_is_known() -> None:
     hit = start + (np.sqrt(along**2 + 4.0 - np.square(start).sum(axis=-1, keepdims=True)) - along) * d
     image = np.clip(world(hit / 2.0), 0, 255).astype(np.uint8)
     still = seen(camera, np.zeros(3)).astype(float)
-    shutter, depth_map = RollingShutter(camera, OPTIONS), np.full((128, 256), 2.0, np.float32)
-    turned = np.abs(shutter.rectified(image, rate) - still).mean()
-    both = np.abs(shutter.rectified(image, rate, velocity, depth_map) - still).mean()
-    unknown = shutter.rectified(image, rate, velocity, np.full_like(depth_map, np.nan))
+    rectifier, depth_map = rectifier_of(camera), np.full((128, 256), 2.0, np.float32)
+    turned = np.abs(rectifier.turned(image, rate) - still).mean()
+    both = np.abs(rectifier.rectified(image, rate, velocity, depth_map) - still).mean()
+    unknown = rectifier.rectified(image, rate, velocity, np.full_like(depth_map, np.nan))
     assert both < 0.5 < 0.5 * turned
-    np.testing.assert_array_equal(unknown, shutter.rectified(image, rate))
+    np.testing.assert_array_equal(unknown, rectifier.turned(image, rate))
 
 
 def test_motion_at_the_start_is_that_of_its_poses() -> None:
@@ -94,8 +100,8 @@ def test_motion_at_the_start_is_that_of_its_poses() -> None:
 def test_a_global_shutter_and_a_still_camera_leave_the_image_alone() -> None:
     camera = ErpCamera(64, 32)
     image = seen(camera, np.zeros(3))
-    assert RollingShutter(camera, RollingShutterOptions()).rectified(image, np.array([0, 9.0, 0])) is image
-    assert RollingShutter(camera, OPTIONS).rectified(image, np.zeros(3)) is image
+    assert rectifier_of(camera, RollingShutterOptions()).turned(image, np.array([0, 9.0, 0])) is image
+    assert rectifier_of(camera).turned(image, np.zeros(3)) is image
 
 
 @pytest.mark.parametrize("direction", [1, -1])
