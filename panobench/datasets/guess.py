@@ -18,7 +18,7 @@ from panobench.datasets.listing import children, visible
 from panobench.datasets.palvio_calibration import OVERRIDE, published_calibration
 from panobench.datasets.reconstructions import TRANSFORMS, colmap_model
 from panobench.datasets.trajectory_io import is_tum
-from panobench.datasets.video import VIDEO_SUFFIXES
+from panobench.datasets.video import VIDEO_SUFFIXES, video_files
 from panobench.errors import DatasetError, PanobenchError
 
 #: The true poses of a SynPano scene.
@@ -133,8 +133,10 @@ def _colmap(path: Path) -> Answer:
 
 
 def _videos(path: Path) -> Answer:
-    videos = [p for p in children(path) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()]
-    return _video(videos[0], "a video" if len(videos) == 1 else f"{len(videos)} videos") if videos else None
+    if not any(p.suffix.lower() in VIDEO_SUFFIXES and p.is_file() for p in children(path)):
+        return None
+    videos = list(video_files(path).values())
+    return _video(videos[0], "a video" if len(videos) == 1 else f"{len(videos)} videos")
 
 
 def _images(path: Path) -> Answer:

@@ -6,12 +6,12 @@ import datetime
 import re
 from dataclasses import dataclass
 from decimal import Decimal
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.trajectory_io import check_times, parse_floats, read_rows, time_unit
+from panobench.datasets.trajectory_io import Row, check_times, parse_floats, read_named_rows, time_unit
 from panobench.errors import DatasetError
 
 Array = NDArray[np.float64]
@@ -96,34 +96,63 @@ def _listed(images: list[Path]) -> ImageTimes | None:
 
 
 def _read_list(path: Path, images: list[Path]) -> ImageTimes:
-    """Rows `time` as many as images, or `time name` in any order; commas or white space."""
-    rows = read_rows(path, delimiter="," if path.suffix == ".csv" else None)
-    if rows and not _is_number(rows[0].fields[0]):
-        rows = rows[1:]
+    """Rows `time`, as many as images, or of a time and an image in any order of columns and rows; a header helps."""
+    table = read_named_rows(path)
+    rows = table.rows
     if not rows:
         raise DatasetError("the list of times is empty", path)
-    stamps = np.array([parse_floats(row, row.fields[:1], path, "a time, or a time and an image")[0] for row in rows])
-    stamps = stamps * time_unit(stamps, 1.0)
-    if len(rows[0].fields) == 1:
+    present = _by_name(images)
+    names = _name_column(rows, present)
+    width = len(rows[0].fields)
+    column = table.columns.time
+    if column is None or column == names or column >= width:
+        column = next((k for k in range(width) if k != names and _is_number(rows[0].fields[k])), 0)
+    for row in rows:
+        if len(row.fields) <= max(column, 0 if names is None else names):
+            what = "a time without an image; other rows name theirs" if names is not None else "a row without a time"
+            raise DatasetError(what, path, line=row.line)
+    stamps = np.array(
+        [parse_floats(row, [row.fields[column]], path, "a time, or a time and an image")[0] for row in rows]
+    )
+    stamps = stamps * (table.columns.unit_s or time_unit(stamps, 1.0))
+    if names is None:
+        if width > 1 and not _is_number(rows[0].fields[1]):
+            raise DatasetError(f"the list names none of the images in {images[0].parent}", path)
         if len(rows) != len(images):
             raise DatasetError(f"the list has {len(rows)} times for {len(images)} images", path)
         times = stamps - stamps[0]  # what is checked is what is used: huge stamps lose their differences
         check_times(times, path, [row.line for row in rows])
         return ImageTimes(images, times, path.name, inputs=(path,), start=float(stamps[0]))
-    for row in rows:
-        if len(row.fields) < 2:
-            raise DatasetError("a time without an image; other rows name theirs", path, line=row.line)
-    present = {image.name: image for image in images}
-    found = [(stamp, present.get(Path(row.fields[1]).name)) for stamp, row in zip(stamps, rows)]
+    found = [(stamp, present.get(_plain(row.fields[names]))) for stamp, row in zip(stamps, rows)]
     kept = [(stamp, image) for stamp, image in found if image is not None]
-    if not kept:
-        raise DatasetError(f"the list names none of the images in {images[0].parent}", path)
     order = sorted(range(len(kept)), key=lambda k: kept[k][0])
     times = np.array([kept[k][0] for k in order])
     start = float(times[0])
     times = times - start
     check_times(times, path)
     return ImageTimes([kept[k][1] for k in order], times, path.name, inputs=(path,), start=start)
+
+
+def _by_name(images: list[Path]) -> dict[str, Path]:
+    """By the file's name, and by that without its ending."""
+    return {**{image.stem: image for image in images}, **{image.name: image for image in images}}
+
+
+def _plain(name: str) -> str:
+    return PurePosixPath(name.replace("\\", "/")).name
+
+
+def _name_column(rows: list[Row], present: dict[str, Path]) -> int | None:
+    """The column that names images, the last of several; None where none does.
+
+    Numbers name images only if all do: they may be times.
+    """
+    found = None
+    for k, field in enumerate(rows[0].fields):
+        hits = sum(_plain(row.fields[k]) in present for row in rows if k < len(row.fields))
+        if hits == len(rows) or (hits and not _is_number(field)):
+            found = k
+    return found if len(rows[0].fields) > 1 else None
 
 
 def _is_number(text: str) -> bool:

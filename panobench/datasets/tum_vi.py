@@ -2,8 +2,8 @@
 
 Schubert et al., "The TUM VI Benchmark for Evaluating Visual-Inertial Odometry" (IROS 2018). ``SEQUENCE/mav0/cam0/``
 (data.csv, data/*.png), ``mav0/imu0/data.csv``, ``mav0/mocap0/data.csv`` (poses of the IMU) and a Kalibr
-``dso/camchain.yaml`` (or ``camchain.yaml``, ``camera.yaml`` in SEQUENCE). Camera 0 is read; its poses are the IMU's
-times the extrinsics, interpolated to the image times.
+``dso/camchain.yaml`` (or ``camchain.yaml``, ``camera.yaml`` in SEQUENCE, or EuRoC's ``mav0/cam0/sensor.yaml``).
+Camera 0 is read; its poses are the IMU's times the extrinsics, interpolated to the image times.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from panobench.errors import CalibrationError, DatasetError
 from panobench.masks.files import mask_of_folder
 from panobench.types import Imu, Trajectory
 
-_CALIBRATIONS = ("dso/camchain.yaml", "camchain.yaml", "mav0/camchain.yaml", "camera.yaml")
+_CALIBRATIONS = ("dso/camchain.yaml", "camchain.yaml", "mav0/camchain.yaml", "camera.yaml", "mav0/cam0/sensor.yaml")
 _TRUTHS = ("mav0/mocap0/data.csv", "mav0/state_groundtruth_estimate0/data.csv")
 
 

@@ -130,17 +130,24 @@ def video_remarks(reader: Recording) -> list[str]:
 def video_files(root: Path) -> dict[str, Path]:
     """Sequence name -> video file: ``root`` itself, or the videos in it. Raises DatasetError if there is none.
 
-    A name is the file's without its ending; with it where two files differ in that alone.
+    A name is the file's without its ending; with it where two files differ in that alone. Small copies that cameras
+    keep beside their recordings are none of them.
     """
     if root.is_file():
         return {root.stem: root}
     if not root.is_dir():
         raise DatasetError("no such file or folder", root)
     files = [p for p in children(root) if p.suffix.lower() in VIDEO_SUFFIXES and p.is_file()]
+    files = [p for p in files if not _is_proxy(p)] or files
     found = by_stem(p for p in files if not is_second_lens(p))
     if not found:
         raise DatasetError(f"no video here ({', '.join(VIDEO_SUFFIXES)})", root)
     return found
+
+
+def _is_proxy(path: Path) -> bool:
+    """GoPro's GL010013.LRV beside GS010013.360, Insta360's LRV_... beside VID_...: the same in a low resolution."""
+    return path.suffix.lower() == ".lrv" or path.name.upper().startswith("LRV_")
 
 
 class Video(Dataset):

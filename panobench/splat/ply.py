@@ -3,6 +3,10 @@
 One ``vertex`` element with float32 properties ``x y z nx ny nz f_dc_0..2 opacity scale_0..2 rot_0..3``:
 log-scales, opacity logit, quaternion (w, x, y, z) and the degree-0 spherical harmonic,
 ``colour = 0.5 + f_dc * SH_C0``. Format: Turk, "The PLY Polygon File Format" (1994).
+
+Maps come from anywhere, and plyfile, which writes our meshes, believes headers: 150 bytes that claim 40 million lists
+cost it 0.3 GB and seconds, a count beyond the file is a MemoryError, or, with its memory map, a file that shrinks
+while it is read ends the process. Here what is claimed is held against the file's size first.
 """
 
 from __future__ import annotations

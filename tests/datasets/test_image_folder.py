@@ -126,6 +126,10 @@ def test_times_in_exif(tmp_path: Path) -> None:
         ("rgb.txt", "# time file\n5.0 rgb/1.png\n5.5 rgb/2.png\n7.5 rgb/3.png\n"),
         ("data.csv", "#timestamp [ns],filename\n500000000,1.png\n1000000000,2.png\n3000000000,3.png\n"),
         ("times.csv", "time,name\n7.5,3.png\n5.0,1.png\n5.5,2.png\n"),
+        ("times.csv", "filename,timestamp_ms\n1.png,5000\n2.png,5500\n3.png,7500\n"),
+        ("timestamps.txt", "# frame time\n1 5.0\n2 5.5\n3 7.5\n"),
+        ("times.txt", "5.0, images\\1.png\n5.5, images\\2.png\n7.5, images\\3.png\n"),
+        ("times.csv", "frame_id;timestamp;image\n0;5.0;1.png\n1;5.5;2.png\n2;7.5;3.png\n"),
     ],
 )
 @pytest.mark.parametrize("above", [False, True])

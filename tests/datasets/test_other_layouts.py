@@ -186,6 +186,24 @@ def test_tum_vi(tmp_path: Path) -> None:
     np.testing.assert_allclose(sequence.imu.T_body_cam, BODY_T_CAM, atol=1e-9)
 
 
+def test_a_sequence_of_euroc(tmp_path: Path) -> None:
+    """The same layout, with the sensor's own calibration and another name for the truth."""
+    true, _ = tum_vi(tmp_path / "V1_01")
+    mav0 = tmp_path / "V1_01" / "mav0"
+    (mav0 / "mocap0").rename(mav0 / "state_groundtruth_estimate0")
+    (tmp_path / "V1_01" / "dso" / "camchain.yaml").unlink()
+    numbers = ", ".join(str(float(v)) for v in BODY_T_CAM.ravel())
+    (mav0 / "cam0" / "sensor.yaml").write_text(
+        f"sensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{numbers}]\nrate_hz: 20\n"
+        "resolution: [64, 64]\ncamera_model: pinhole\nintrinsics: [24, 24, 32, 32] #fu, fv, cu, cv\n"
+        "distortion_model: radial-tangential\ndistortion_coefficients: [-0.2, 0.07, 0.0001, 0.00001]\n"
+    )
+    sequence = open_sequence("tum-vi", None, tmp_path / "V1_01")
+    assert sequence.camera.kind == "pinhole"
+    assert sequence.groundtruth is not None
+    np.testing.assert_allclose(sequence.groundtruth.T_wc, true, atol=2e-5)
+
+
 def test_bad_tum_vi(tmp_path: Path) -> None:
     folder = tmp_path / "room1"
     tum_vi(folder)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from dataset_samples import video
 
+from panobench.datasets.guess import guess
 from panobench.datasets.images import encode_image
 from panobench.datasets.open import open_sequence
-from panobench.datasets.video import Video
+from panobench.datasets.video import Video, video_files
 from panobench.errors import DatasetError, UnknownNameError
 
 
@@ -45,6 +46,21 @@ def test_folder_of_videos_names_and_masks(tmp_path: Path) -> None:
     assert open_sequence("video", "a", tmp_path).camera.mask is None
     with pytest.raises(UnknownNameError):
         open_sequence("video", "c", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (["GS010013.mp4", "GL010013.LRV", "GS010013.THM"], ["GS010013"]),
+        (["VID_20230412_153012_00_001.mp4", "LRV_20230412_153012_01_001.mp4"], ["VID_20230412_153012_00_001"]),
+        (["GL010013.LRV"], ["GL010013"]),  # better than nothing
+    ],
+)
+def test_small_copies_that_cameras_keep_are_no_sequences(tmp_path: Path, names: list[str], found: list[str]) -> None:
+    for name in names:
+        (tmp_path / name).touch()
+    assert list(video_files(tmp_path)) == found
+    assert guess(tmp_path).what == "a video"
 
 
 def test_bad_videos(tmp_path: Path) -> None:
