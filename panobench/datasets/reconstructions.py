@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from panobench.cameras.alike import middle_camera, middle_remark, sample
 from panobench.cameras.base import Camera
 from panobench.cameras.calibration import inspect_calibration
 from panobench.cameras.calibration.colmap import read_cameras
@@ -109,7 +110,10 @@ class ColmapProject(_Posed):
         found = read_images(model[1])
         number, count = Counter(found.cameras).most_common(1)[0]
         remarks = []
+        camera = None
         if count < len(found.cameras) and not _one_camera(model[0]):
+            camera, remarks = _middle_of(model[0], set(found.cameras))
+        if count < len(found.cameras) and camera is None and not _one_camera(model[0]):
             remarks.append(
                 f"of the model's cameras number {number} is taken: it has {count} of {len(found.cameras)} images"
             )
@@ -127,13 +131,21 @@ class ColmapProject(_Posed):
             remarks.append(f"{missing} of {len(chosen)} registered images are missing in {folder}")
         for other in {file.parent for file in images}:
             images |= {file: None for file in list_images(other) if file not in images}
-        camera = inspect_calibration(self.given.calibration or f"{model[0]}#{number}").camera
+        if camera is None or self.given.calibration is not None:
+            camera = inspect_calibration(self.given.calibration or f"{model[0]}#{number}").camera
         return self._source(name, images, camera, list(model), remarks)
 
 
 def _one_camera(path: Path) -> bool:
     """Whether all cameras of the file are the same, as COLMAP makes one for every image unless told otherwise."""
     return len({entry[1:] for entry in read_cameras(path).values()}) == 1
+
+
+def _middle_of(path: Path, used: set[int]) -> tuple[Camera | None, list[str]]:
+    """One camera for images that have cameras of their own, as COLMAP makes them, and what to say of it."""
+    entries = {entry[1:]: entry for number, entry in read_cameras(path).items() if int(number) in used}
+    found = middle_camera([entry.camera(path) for entry in sample(list(entries.values()))])
+    return (None, []) if found is None else (found[0], [middle_remark(found[1])])
 
 
 def _image_folder(root: Path, names: list[str], model: Path) -> Path:
@@ -184,7 +196,8 @@ class NerfstudioProject(_Posed):
         if self.given.calibration is not None:
             camera = inspect_calibration(self.given.calibration).camera
         else:
-            camera = nerfstudio_camera(values, path, check_sizes(list(images)))
+            camera, said = nerfstudio_camera(values, path, check_sizes(list(images)))
+            remarks += said
         return self._source(name, images, camera, [path], remarks)
 
 

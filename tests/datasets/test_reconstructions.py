@@ -70,6 +70,33 @@ def test_a_model_of_several_cameras(tmp_path: Path) -> None:
     assert len(open_sequence("colmap", None, tmp_path)) == 4
 
 
+def test_cameras_calibrated_image_by_image_are_one(tmp_path: Path) -> None:
+    images(tmp_path / "images")
+    focal = [40.0, 40.3, 40.1, 39.9]
+    rows = [f"{i + 1} PINHOLE 64 32 {f} {f} 32 16" for i, f in enumerate(focal)]
+    (tmp_path / "cameras.txt").write_text("\n".join([*rows, "9 PINHOLE 64 32 90 90 32 16\n"]))  # of no image
+    images_txt(tmp_path / "images.txt", [f"f{i}.png" for i in range(4)], [1, 2, 3, 4])
+    sequence = open_sequence("colmap", None, tmp_path)
+    assert isinstance(sequence.camera, PinholeCamera)
+    assert sequence.camera.fx in (40.0, 40.1)
+    assert sequence.groundtruth is not None
+    assert len(sequence.groundtruth) == 4
+    said = [line for line in sequence.remarks() if "cameras of their own" in line]
+    assert len(said) == 1
+    assert "the middle one is taken for all" in said[0]
+    frames = {"fl_x": 0, "fl_y": 40.0, "cx": 32.0, "cy": 16.0, "w": 64, "h": 32}
+    names = [f"images/f{i}.png" for i in range(4)]
+    path = tmp_path / "transforms.json"
+    transforms(path, names, camera_model="OPENCV")
+    values = json.loads(path.read_text())
+    values["frames"] = [{**frame, **frames, "fl_x": f} for frame, f in zip(values["frames"], focal)]
+    path.write_text(json.dumps(values))
+    sequence = open_sequence("nerfstudio", None, tmp_path)
+    assert isinstance(sequence.camera, PinholeCamera)
+    assert sequence.camera.fx in (40.0, 40.1)
+    assert any(line.startswith("images have cameras of their own") for line in sequence.remarks())
+
+
 def transforms(path: Path, names: list[str], **more: object) -> None:
     frames = [{"file_path": n, "transform_matrix": (T @ np.diag([1, -1, -1, 1])).tolist()} for n, T in zip(names, T_WC)]
     path.write_text(json.dumps({"frames": frames, **more}))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from panobench.cameras.alike import middle_camera, middle_remark, sample
 from panobench.cameras.base import Camera
 from panobench.cameras.calibration.result import Calibration, ReadOptions
 from panobench.cameras.calibration.tables import as_table
@@ -40,12 +41,30 @@ def read(path: Path, options: ReadOptions) -> Calibration:
         raise CalibrationError(f"the file has one camera, no '{options.camera}'", path)
     if not isinstance(values, dict):
         raise CalibrationError("a table of values is expected", path)
-    return Calibration(camera_of(values, path), NAME)
+    camera, remarks = camera_of(values, path)
+    return Calibration(camera, NAME, list(remarks))
 
 
-def camera_of(values: dict[str, Any], path: Path, size: tuple[int, int] | None = None) -> Camera:
-    """The camera of the file's content; ``size`` (w, h) of the images where it has none. Raises CalibrationError."""
-    table = as_table({**_shared(values, path), **{k: v for k, v in values.items() if k != "frames"}}, path)
+def camera_of(
+    values: dict[str, Any], path: Path, size: tuple[int, int] | None = None
+) -> tuple[Camera, tuple[str, ...]]:
+    """The camera of the file's content, and what to say of it; ``size`` (w, h) of the images where it has none.
+
+    Raises CalibrationError, also where frames have cameras of their own that differ.
+    """
+    own = _own(values)
+    cameras = [_one_camera(values, one, path, size) for one in own]
+    if len(cameras) == 1:
+        return cameras[0], ()
+    found = middle_camera(cameras)
+    if found is None:
+        raise CalibrationError("the frames have different cameras; one camera for all is read", path)
+    return found[0], (middle_remark(found[1]),)
+
+
+def _one_camera(values: dict[str, Any], own: dict[str, Any], path: Path, size: tuple[int, int] | None) -> Camera:
+    """From what stands at the top and with a frame, of which the top counts."""
+    table = as_table({**own, **{k: v for k, v in values.items() if k != "frames"}}, path)
     if size is not None:
         table = as_table({"w": size[0], "h": size[1], **table}, path)
     try:
@@ -54,14 +73,15 @@ def camera_of(values: dict[str, Any], path: Path, size: tuple[int, int] | None =
         raise (error if error.path else CalibrationError(str(error), path)) from None
 
 
-def _shared(values: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Intrinsics that stand with the frames, if they are the same for all."""
+def _own(values: dict[str, Any]) -> list[dict[str, Any]]:
+    """The different sets of intrinsics that stand with frames; one that is empty where none has any."""
     frames = values.get("frames")
     frames = [f for f in frames if isinstance(f, dict)] if isinstance(frames, list) else []
-    own = [{k: f[k] for k in _INTRINSICS if k in f} for f in frames]
-    if any(found != own[0] for found in own):
-        raise CalibrationError("the frames have different cameras; one camera for all is read", path)
-    return own[0] if own else {}
+    own: dict[tuple[object, ...], dict[str, Any]] = {}
+    for frame in frames:
+        found = {k: frame[k] for k in _INTRINSICS if k in frame}
+        own[tuple((k, v if isinstance(v, (int, float, str)) else id(v)) for k, v in found.items())] = found
+    return sample(list(own.values())) or [{}]
 
 
 def _camera(table: Table) -> Camera:
