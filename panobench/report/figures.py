@@ -17,6 +17,8 @@ from panobench.metrics.alignment import match, moves
 from panobench.report.model import Array, Errors, Run
 from panobench.report.ranking import failure
 
+#: Where the 3-D plot is looked at from, and what at, in Plotly's units.
+EYE, LOOKED_AT = (1.1, -1.65, 1.5), (0.0, 0.0, -0.12)
 #: Most points a trace may have; longer ones are thinned evenly.
 MAX_POINTS = 800
 #: An axis is logarithmic when its traces' medians differ by more than this factor.
@@ -118,7 +120,7 @@ def trajectory_figures(
         "scene": {
             "aspectmode": "data",
             **{f"{k}axis": axis for k, axis in zip("xyz", axes)},
-            "camera": {"eye": {"x": 1.1, "y": -1.65, "z": 1.5}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}},
+            "camera": {"eye": dict(zip("xyz", EYE)), "center": dict(zip("xyz", LOOKED_AT))},
         }
     }
     layout2 = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from panobench.errors import InputError
 from panobench.geometry import Sim3
-from panobench.report.figures import numbers
+from panobench.report.figures import EYE, LOOKED_AT, numbers
 from panobench.report.model import Array, Run
 
 #: Most Gaussians shown of one map, and of all maps of a page; more would make the page large and slow.
@@ -18,6 +18,9 @@ _MIN_OPACITY = 0.5
 #: Gaussians higher than this share of the way from eye level to the top of the map are left out: one looks
 #: into a room from above, and a ceiling would hide it.
 _OPEN_FROM = 0.55
+#: Gaussians this near to the line of sight to the path, as a share of the map's size, are left out where they are in
+#: front of it: a corridor would hide it.
+_SIGHT = 0.025
 
 
 def map_trace(
@@ -64,6 +67,7 @@ def map_trace(
     keep &= (points[:, 2] < level + _OPEN_FROM * max(top - level, 0.0)) & ((points >= low) & (points <= high)).all(
         axis=1
     )
+    keep &= ~_hides(points, eyes, _SIGHT * float(np.linalg.norm(high - low)))
     chosen = np.flatnonzero(keep)
     if len(chosen) > most:
         weight = np.minimum(extent[chosen], np.quantile(extent[chosen], 0.95))
@@ -84,6 +88,18 @@ def map_trace(
         "z": z,
         "marker": {"size": 2.4, "opacity": 0.85, "color": [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in colours.tolist()]},
     }
+
+
+def _hides(points: Array, path: Array, radius: float) -> Array:
+    """(N,) bool: points nearer than ``radius`` to the line from the path (M, 3) to whoever looks at the plot."""
+    towards = np.array(EYE) - np.array(LOOKED_AT)
+    towards /= np.linalg.norm(towards)
+    hidden = np.zeros(len(points), dtype=bool)
+    for place in path[:: max(1, len(path) // 100)]:
+        apart = points - place
+        along = apart @ towards
+        hidden |= (along > 0) & ((apart**2).sum(axis=1) - along**2 < radius**2)
+    return hidden
 
 
 def map_size(run: Run) -> tuple[Path, int] | None:

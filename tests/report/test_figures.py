@@ -43,6 +43,24 @@ def test_the_map_stands_upright_in_the_world_of_the_plot(make_run):
     assert trace == map_trace(run, turn)
 
 
+def test_a_map_does_not_hide_the_path(make_run):
+    """Seen as the plot is when it opens, no Gaussian lies before a place of the path; those behind it stay."""
+    folder = make_run("a", noise=0.0)
+    write_map(folder, n=MOST)
+    run = read_run(folder)
+    turn = figures.upright([run])
+    trace = map_trace(run, turn)
+    points = np.array([trace[k] for k in "xyz"]).T
+    towards = np.subtract(figures.EYE, figures.LOOKED_AT)
+    towards /= np.linalg.norm(towards)
+    for place in run.trajectory.positions @ turn.T:
+        apart = points - place
+        along = apart @ towards
+        beside = np.linalg.norm(apart - along[:, None] * towards, axis=1)
+        assert not ((beside < 0.1) & (along > 0.01)).any()
+        assert ((beside < 0.4) & (along < 0)).any()
+
+
 def test_only_maps_that_can_be_placed_are_drawn(make_run):
     folder = make_run("a")
     assert map_trace(read_run(folder), np.eye(3)) is None
