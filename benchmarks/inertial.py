@@ -1,8 +1,8 @@
 """Recordings with an IMU for reports/inertial.md, in panobench's own format: a walk through a built-in flat.
 
     python benchmarks/inertial.py OUT [--seconds 60] [--fps 15] [--width 256] [--turns 0] [--black 30:32] ...
-    panobench run sparse --root OUT --width 256
-    panobench run sparse --root OUT --width 256 --imu off
+    panobench run --method sparse --dataset folder --root OUT --width 256
+    panobench run --method sparse --dataset folder --root OUT --width 256 --imu off
 
 A stride is 1.8 a second with 28 mm rms up and down, as measured on the runs of the Hilti x Trimble 360 challenge, and
 the IMU has that rig's noise. --turns: glances by 90 degrees and back, at up to 400 degrees/s. --black: no light, s.

@@ -64,6 +64,12 @@ class Rig:
         centres = [lens.T_rig_lens[:3, 3] for lens in self.lenses]
         return max((float(np.linalg.norm(a - b)) for a, b in combinations(centres, 2)), default=0.0)
 
+    @property
+    def readout_s(self) -> float | None:
+        """The longest readout of a lens, seconds; None unless all of them are known."""
+        known = [lens.readout_s for lens in self.lenses if lens.readout_s is not None]
+        return max(known) if len(known) == len(self.lenses) else None
+
     def scaled(self, factor: float) -> Rig:
         """With pictures of ``factor`` times the width."""
         lenses = (replace(k, camera=k.camera.scaled(max(1, round(k.camera.width * factor)))) for k in self.lenses)

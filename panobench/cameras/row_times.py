@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from panobench.cameras.base import Array, Camera
+from panobench.cameras.rig import Rig
 from panobench.geometry import so3_log
 
 #: The circle of a panoramic camera's lens reaches this far from its axis, radians: its rows are read over that angle.
@@ -24,6 +25,21 @@ def row_times(camera: Camera, rays: Array) -> Array:
     across = np.hypot(rays[..., 0], rays[..., 1])
     theta = np.arctan2(across, np.abs(rays[..., 2]))
     return np.asarray(0.5 * theta / LENS_REACH * rays[..., 1] / np.maximum(across, 1e-12))
+
+
+def rig_row_times(rig: Rig, rays: Array) -> Array:
+    """The same for rays (N, 3) in a rig's axes, (N,): each is read by the lens whose axis is nearest to it.
+
+    Where the lenses say how long theirs takes, a half is half of the longest readout.
+    """
+    nearest = np.argmax(rays @ np.stack([lens.T_rig_lens[:3, 2] for lens in rig.lenses]).T, axis=1)
+    rows, longest = np.zeros(len(rays)), rig.readout_s
+    for number, lens in enumerate(rig.lenses):
+        own = nearest == number
+        pixels, _ = lens.camera.project(rays[own] @ lens.T_rig_lens[:3, :3])
+        share = (lens.readout_s or 0.0) / longest if longest else 1.0
+        rows[own] = share * np.nan_to_num(np.clip(pixels[:, 1] / lens.camera.height - 0.5, -0.5, 0.5))
+    return rows
 
 
 def rates_along(times: Array, T_wc: Array) -> Array:

@@ -5,7 +5,7 @@ Whatever is wrong is a line in the result, and then nothing is claimed: there is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,18 @@ INERTIAL_RMS_MAX = 4.0
 #: Errors of visual positions may go with the motion: a small motion is found a bit too small where images are coarse.
 #: This share of them is taken to.
 SYSTEMATIC = 0.5
+#: Two scales contradict one another if they differ by more than so many standard deviations.
+CONTRADICTION = 3.0
 #: The first estimate of the scale and the fit's may differ by this, relative.
 SCALES_APART = 0.1
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What else is known of the unit of the longest map, such as by a rig: metres, and their relative deviation."""
+
+    metres: float
+    sigma: float
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,18 @@ class Fusion:
             "visual_rotation_sigma_rad": self.rotation_rad,
             "bridged_frames": int(self.bridged.sum()),
         }
+
+    def with_unit(self, unit: Unit) -> Fusion:
+        """With the scale that both tell, weighted by their variances; a remark where they contradict one another."""
+        own, other = 1 / self.scale_sigma**2, 1 / unit.sigma**2
+        apart = float(np.log(unit.metres / self.scale))
+        factor = float(np.exp(other / (own + other) * apart))
+        T_wc, remarks = self.T_wc.copy(), self.remarks
+        T_wc[:, :3, 3] *= factor
+        if abs(apart) > CONTRADICTION * np.hypot(self.scale_sigma, unit.sigma):
+            remarks += (f"the lenses' distance and the IMU tell scales that are {np.expm1(abs(apart)):.1%} apart",)
+        sigma = float(1 / np.sqrt(own + other))
+        return replace(self, T_wc=T_wc, scale=self.scale * factor, scale_sigma=sigma, remarks=remarks)
 
     def similarity(self, visual: VisualPoses) -> Sim3:
         """From the visual world to this one, by the poses of the map with most frames."""

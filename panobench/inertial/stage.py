@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.errors import UnavailableError
-from panobench.inertial.fusion import Fusion, fuse
+from panobench.inertial.fusion import Fusion, Unit, fuse
 from panobench.inertial.prediction import Predictor
 from panobench.inertial.samples import ContradictionError, InertialError, TooLittleMotionError, usable_samples
 from panobench.inertial.visual import VisualPoses
@@ -77,8 +77,8 @@ class InertialStage:
         self.predictor.record(index, time_s)
         self.seconds += time.perf_counter() - began
 
-    def finish(self, maps: Sequence[Mapping[int, Array]]) -> MetricPoses | None:
-        """The trajectory in metres, z up. maps: of each map the poses T_wc (4, 4) by frame index.
+    def finish(self, maps: Sequence[Mapping[int, Array]], unit: Unit | None = None) -> MetricPoses | None:
+        """The trajectory in metres, z up. maps: of each map the poses T_wc (4, 4) by frame index. unit: see ``Unit``.
 
         None without an IMU, or if there is nothing to be said about metres; then the user is told why.
         """
@@ -94,6 +94,8 @@ class InertialStage:
         visual = VisualPoses(np.array([self.times[i] for i in order]), T_wc, of_map)
         try:
             found = fuse(visual, self.imu)
+            by_imu = found.scale, found.scale_sigma
+            found = found if unit is None else found.with_unit(unit)
         except (InertialError, UnavailableError) as error:
             used = "scale and gravity stay unknown" if isinstance(error, TooLittleMotionError) else "it is not used"
             self.warn(f"IMU: {error}; {used}")
@@ -107,6 +109,8 @@ class InertialStage:
             f"{1000 * found.offset_s:+.2f} ms off, {int(found.bridged.sum())} frames without a visual pose bridged"
         )
         self.numbers = {"initialised": True, **found.numbers(), "seconds": time.perf_counter() - began}
+        if unit is not None:
+            self.numbers |= {"scale_by_imu": by_imu[0], "scale_by_imu_sigma": by_imu[1]}
         return MetricPoses(found, visual, order)
 
 

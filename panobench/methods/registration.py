@@ -19,6 +19,7 @@ METHODS: tuple[MethodSpec, ...] = (
         presets=PANOGS_PRESETS,
         frame_masks=True,
         maps=True,
+        rigs=True,
         uses=("imu",),
     ),
     MethodSpec(

@@ -12,26 +12,20 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, se3_exp
-from panobench.kernels.columns import CAM
-from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
-from panobench.photometric.normal_equations import add_rotation_rows, add_translation_rows
+from panobench.photometric.bundle_kernels import residuals
+from panobench.photometric.lens_centres import UNITS, origins_of
 from panobench.photometric.pyramid import F32
-from panobench.photometric.warp import PER_TURN, project, sample_run
 
 #: Runs of pixels that are summed separately. They do not depend on the number of threads, and so neither do the sums.
 _RUNS = 8
-#: Pixels in a block, which are processed together.
-_BLOCK = 256
 #: An iteration that lowers the cost by less than this share is the last.
 _CONVERGED = 1e-4
 #: Iterations with the nearest frames alone, and before the pixels that fit worst are left out.
 _NEAR_ITERATIONS, _BEFORE_TRIMMING = 6, 2
 Pose = NDArray[np.float64]
-_F0, _F1, _HALF, _OUTSIDE, _NAN = np.float32(0), np.float32(1), np.float32(0.5), np.float32(10), np.float32(np.nan)
 
 
 @dataclass(frozen=True)
@@ -70,118 +64,19 @@ class Bundle:
     information (6F, 6F), gradient (6F,): what is left of the cost once the depths are eliminated: a quadratic over left
     twists (translation, rotation) of T_fr, in units of the residuals' variance. A common scale of all translations
     does not change it.
+    units: of a rig, how many units of the map a metre has and the standard deviation of that, if errors of pixels are
+    independent; infinite where nothing tells it. None for one centre.
     """
 
     T_fr: NDArray[np.float64]
     cost: float
     information: NDArray[np.float64]
     gradient: NDArray[np.float64]
+    units: tuple[float, float] | None = None
 
     @property
     def ok(self) -> bool:
         return bool(np.isfinite(self.cost))
-
-
-@njit(**JIT_FINITE)
-def _jacobians(points, R, t, code, cam, gx, gy, J, jd):  # type: ignore[no-untyped-def]
-    """Write the residuals' derivatives: J (6, n) by a left twist of R, t, and jd (n,) by the log depth.
-
-    points (3, n): in the reference camera's frame; gx, gy (n,): the image's gradient where they are seen.
-    """
-    a, e = cam[CAM.width] * PER_TURN, np.float32(2) * cam[CAM.height] * PER_TURN
-    for k in range(len(gx)):
-        px, py, pz = points[0, k], points[1, k], points[2, k]
-        qx = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz
-        qy = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz
-        qz = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz
-        x, y, z = qx + t[0], qy + t[1], qz + t[2]
-        if code == 0:
-            rho2 = x * x + z * z
-            rho, r2 = np.sqrt(rho2), rho2 + y * y
-            p, q = gx[k] * a / rho2, gy[k] * e / (r2 * rho)
-            jx = p * z - q * x * y
-            jy = q * rho2
-            jz = -p * x - q * z * y
-        else:
-            jx, jy = gx[k] * cam[CAM.fx] / z, gy[k] * cam[CAM.fy] / z
-            jz = -(jx * x + jy * y) / z
-        J[0, k], J[1, k], J[2, k] = jx, jy, jz
-        J[3, k], J[4, k], J[5, k] = y * jz - z * jy, z * jx - x * jz, x * jy - y * jx
-        jd[k] = jx * qx + jy * qy + jz * qz
-
-
-@njit(**JIT)
-def _robust(seen, value, huber, cut, r, w, gx, gy, cost, size):  # type: ignore[no-untyped-def]
-    """Samples ``seen`` and gradients (n,) -> residuals r, Huber weights w and absolute residuals size (n,).
-
-    The pixels' costs are added to ``cost`` (n,). Samples that are masked or outside (NaN) or beyond ``cut`` have no
-    weight, and cost what one at the cut does.
-    """
-    unseen = huber * (cut - _HALF * huber)
-    for k in range(len(value)):
-        e = seen[k] - value[k]
-        a = abs(e)
-        known = a + abs(gx[k]) + abs(gy[k]) < _OUTSIDE
-        used = known & (a <= cut)
-        size[k] = a if known else _NAN
-        linear = a > huber
-        cost[k] += (huber * (a - _HALF * huber) if linear else _HALF * a * a) if used else unseen
-        w[k] = (huber / a if linear else _F1) if used else _F0
-        r[k] = e if used else _F0
-        gx[k], gy[k] = gx[k] if used else _F0, gy[k] if used else _F0
-
-
-@njit(**JIT)
-def _depth_rows(w, r, J, jd, Hpd, Hdd, bd):  # type: ignore[no-untyped-def]
-    """Add to Hdd, bd (n,), the entries of the log depths, and write Hpd (6, n), those of the pose with each of them."""
-    for k in range(len(w)):
-        wd = w[k] * jd[k]
-        Hdd[k] += wd * jd[k]
-        bd[k] += wd * r[k]
-    for i in range(6):
-        for k in range(len(w)):
-            Hpd[i, k] = w[k] * J[i, k] * jd[k]
-
-
-@njit(**JIT)
-def _residuals_of(  # type: ignore[no-untyped-def]
-    first, last, value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size
-):
-    """Pixels first .. last - 1 of ``_residuals``, a block at a time, so that all loops are vectorised."""
-    u, v, seen = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
-    r, w, jd = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
-    gx, gy = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
-    J = np.empty((6, _BLOCK), np.float32)
-    for lo in range(first, last, _BLOCK):
-        hi = min(lo + _BLOCK, last)
-        m = hi - lo
-        X = points[:, lo:hi]
-        for f in range(frames.shape[0]):
-            project(X[0], X[1], X[2], R[f], t[f], code, cam, u, v)
-            sample_run(frames[f], u[:m], v[:m], code, seen, gx, gy)
-            _robust(seen, value[lo:hi], huber, cut, r, w, gx, gy, cost[lo:hi], size[f, lo:hi])
-            _jacobians(X, R[f], t[f], code, cam, gx[:m], gy[:m], J, jd)
-            _depth_rows(w[:m], r, J, jd, Hpd[f, :, lo:hi], Hdd[lo:hi], bd[lo:hi])
-            add_translation_rows(w[:m], r, J, 0, Hpp[f], bp[f])
-            add_rotation_rows(w[:m], r, J, 0, Hpp[f], bp[f])
-
-
-@njit(**PARALLEL)
-def _residuals(value, points, frames, R, t, code, cam, huber, cut, Hpd, Hdd, bd, Hpp, bp, cost, size):  # type: ignore[no-untyped-def]
-    """Normal equations of P pixels in F frames; the arrays written come in as zeros.
-
-    value (P,), points (3, P): luma and position of the reference's pixels. frames (F, H, W); R (F, 3, 3), t (F, 3):
-    frame from reference camera. huber, cut: of 1. Written for each pixel: Hpd (F, 6, P), Hdd, bd, cost (P,), and size
-    (F, P), the absolute residual, NaN where unseen. Written for each run of pixels: Hpp (runs, F, 6, 6), upper
-    triangles, and bp (runs, F, 6).
-    """
-    runs = Hpp.shape[0]
-    share = (len(value) + runs - 1) // runs
-    for run in prange(runs):
-        _residuals_of(
-            run * share, min((run + 1) * share, len(value)), value, points, frames, R, t, code, cam, huber, cut,
-            Hpd, Hdd, bd, Hpp[run], bp[run], cost, size,
-        )  # fmt: skip
 
 
 def select_pixels(
@@ -229,11 +124,18 @@ class _Problem:
         Hdd, bd, costs, size = np.zeros(n), np.zeros(n), np.zeros(n), np.empty((F, n), np.float32)
         R, t = T[:, :3, :3].astype(np.float32), T[:, :3, 3].astype(np.float32)
         points = (self.rays.T * np.exp(s)).astype(np.float32)
+        several = self.cam.ndim == 2
+        origins = origins_of(self.rays, self.cam) if several else np.empty((3, 0), np.float32)
+        if several:
+            points += self.cam[UNITS, 0] * origins
+        Hsp, Hsd, Hss = np.zeros((_RUNS, F, 6)), np.zeros(n if several else 0), np.zeros((_RUNS, 2))
         limits = np.float32(self.huber), np.float32(self.cut)
-        _residuals(
-            self.value, points, self.frames, R, t, self.code, self.cam, *limits, Hpd, Hdd, bd, Hpp, bp, costs, size
-        )
-        return _System(Hpd.reshape(6 * F, n), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), costs, size)
+        residuals(
+            self.value, points, origins, self.frames, R, t, self.code, self.cam, *limits, Hpd, Hdd, bd, Hpp, bp, costs,
+            size, Hsp, Hsd, Hss,
+        )  # fmt: skip
+        unit = _UnitRow(Hsp.sum(axis=0).ravel(), Hsd, *Hss.sum(axis=0)) if several else None
+        return _System(Hpd.reshape(6 * F, n), Hdd, bd, Hpp.sum(axis=0), bp.sum(axis=0).ravel(), costs, size, unit)
 
     def with_thresholds(self, T: Pose, s: NDArray[np.float64], options: BundleOptions) -> tuple[_Problem, float] | None:
         """The problem with thresholds that follow its residuals, and their robust standard deviation (of 1).
@@ -304,10 +206,14 @@ def refine(
         problem, s = problem.select(keep), s[keep]
     T, s, now = problem.minimise(T, s, options.iterations)
     scale = _gauge_scale(s - problem.start, now)
+    units = None
+    if now.unit is not None:
+        change, deviation = now.unit_step(T)
+        units = (scale * (float(cam[UNITS, 0]) + change), scale * deviation * sigma)
     T[:, :3, 3] *= scale
     A, b, _ = now.schur_complement(0.0)
     unit = np.tile(np.repeat([1.0 / scale, 1.0], 3), F)
-    return Bundle(T, now.cost / now.size.size, A * unit[:, None] * unit / sigma**2, b * unit / sigma**2)
+    return Bundle(T, now.cost / now.size.size, A * unit[:, None] * unit / sigma**2, b * unit / sigma**2, units)
 
 
 def _from_near(
@@ -340,10 +246,20 @@ def _gauge_scale(change: NDArray[np.float64], now: _System) -> float:
 
 
 @dataclass(frozen=True)
-class _System:
-    """Normal equations of n pixels in F frames, as ``_residuals`` writes them, with its runs of pixels summed.
+class _UnitRow:
+    """The row of the normal equations of the map's units in a metre: with poses (6F,), depths (n,), itself, and b."""
 
-    Hpd (6F, n), Hdd, bd, costs (n,), Hpp (F, 6, 6), bp (6F,), size (F, n).
+    Hsp: NDArray[np.float64]
+    Hsd: NDArray[np.float64]
+    Hss: float
+    bs: float
+
+
+@dataclass(frozen=True)
+class _System:
+    """Normal equations of n pixels in F frames, as ``residuals`` writes them, with its runs of pixels summed.
+
+    Hpd (6F, n), Hdd, bd, costs (n,), Hpp (F, 6, 6), bp (6F,), size (F, n). unit: of a rig.
     """
 
     Hpd: NDArray[np.float64]
@@ -353,6 +269,7 @@ class _System:
     bp: NDArray[np.float64]
     costs: NDArray[np.float64]
     size: F32
+    unit: _UnitRow | None = None
 
     @property
     def cost(self) -> float:
@@ -375,3 +292,23 @@ class _System:
         A[np.diag_indices(len(A))] += 1e-9 * np.trace(A) / len(A)
         x = np.asarray(np.linalg.solve(A, -b), np.float64)
         return x, -inverse * (self.bd + self.Hpd.T @ x)
+
+    def unit_step(self, T: Pose) -> tuple[float, float]:
+        """The step of a rig's units in a metre, and its standard deviation in that of the residuals.
+
+        Poses T (F, 4, 4) and depths may take a step of their own with it, but for the scale of all translations, of
+        which a step would be the same as one of the units.
+        """
+        assert self.unit is not None
+        A, b, inverse = self.schur_complement(0.0)
+        row = self.unit.Hsp - self.Hpd @ (inverse * self.unit.Hsd)
+        H = self.unit.Hss - float(self.unit.Hsd @ (inverse * self.unit.Hsd))
+        g = self.unit.bs - float(self.unit.Hsd @ (inverse * self.bd))
+        along = np.zeros((len(T), 6))
+        along[:, :3] = T[:, :3, 3]
+        grown = along.ravel() / max(float(np.linalg.norm(along)), 1e-12)
+        size = float(np.trace(A)) / max(len(A), 1)
+        A = A + 1e3 * size * np.outer(grown, grown) + 1e-9 * size * np.eye(len(A))
+        solved = np.linalg.solve(A, np.column_stack([row, b]))
+        H, g = H - float(row @ solved[:, 0]), g - float(row @ solved[:, 1])
+        return (-g / H, float(1 / np.sqrt(H))) if H > 0 else (0.0, float("inf"))

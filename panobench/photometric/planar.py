@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit, prange
 
 from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
+from panobench.photometric.lens_centres import moved_origin
 from panobench.photometric.warp import sample, to_pixel
 
 #: exp(-z) is negligible from here.
@@ -40,7 +41,11 @@ def depth_information(reference, depth, rays, frames, R, t, code, cam, out):  # 
                     px = d * (R[f, 0, 0] * rays[y, x, 0] + R[f, 0, 1] * rays[y, x, 1] + R[f, 0, 2] * rays[y, x, 2])
                     py = d * (R[f, 1, 0] * rays[y, x, 0] + R[f, 1, 1] * rays[y, x, 1] + R[f, 1, 2] * rays[y, x, 2])
                     pz = d * (R[f, 2, 0] * rays[y, x, 0] + R[f, 2, 1] * rays[y, x, 1] + R[f, 2, 2] * rays[y, x, 2])
-                    u, v, ok = to_pixel(px + t[f, 0], py + t[f, 1], pz + t[f, 2], code, cam)
+                    if cam.ndim == 2:
+                        tx, ty, tz = moved_origin(R[f], t[f], rays[y, x, 0], rays[y, x, 1], rays[y, x, 2], cam)
+                        u, v, ok = to_pixel(px + tx, py + ty, pz + tz, code, cam)
+                    else:
+                        u, v, ok = to_pixel(px + t[f, 0], py + t[f, 1], pz + t[f, 2], code, cam)
                     value = sample(frames[f], u, v, code) if ok else np.float32(np.nan)
                     if side:
                         b = value

@@ -12,6 +12,7 @@ from numba import njit, prange
 from panobench.cameras.base import Camera
 from panobench.kernels.columns import CAM
 from panobench.kernels.jit import JIT, PARALLEL
+from panobench.photometric.lens_centres import origin_of, panorama_of
 from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pyramid import F32, halve
 from panobench.photometric.warp import camera_code, parameters_at_level
@@ -123,7 +124,7 @@ def _select_row(  # type: ignore[no-untyped-def]
 
     One pixel in ``keep`` is considered, in a slanted pattern that no straight line of the image can miss.
     """
-    w = image.shape[1]
+    w, pixels = image.shape[1], panorama_of(cam)
     if code == 0 and abs(angles[2, y]) > sin_limit:
         return n
     slant = int(0.382 * keep) | 1
@@ -148,18 +149,21 @@ def _select_row(  # type: ignore[no-untyped-def]
             if code == 0:
                 c = angles[3, y]
                 X, Y, Z = c * angles[0, x] * d, -angles[2, y] * d, c * angles[1, x] * d
-                a, b = cam[CAM.width] / (2 * np.pi), cam[CAM.height] / np.pi
+                a, b = pixels[CAM.width] / (2 * np.pi), pixels[CAM.height] / np.pi
                 rho, r2 = c * d, d * d
                 rho2 = rho * rho
                 jx = gx * a * Z / rho2 - gy * b * X * Y / (r2 * rho)
                 jy = gy * b * rho / r2
                 jz = -gx * a * X / rho2 - gy * b * Z * Y / (r2 * rho)
             else:
-                rx, ry = (x + 0.5 - cam[CAM.cx]) / cam[CAM.fx], (y + 0.5 - cam[CAM.cy]) / cam[CAM.fy]
+                rx, ry = (x + 0.5 - pixels[CAM.cx]) / pixels[CAM.fx], (y + 0.5 - pixels[CAM.cy]) / pixels[CAM.fy]
                 c, Z = 1.0, d / np.sqrt(rx * rx + ry * ry + 1.0)
                 X, Y = rx * Z, ry * Z
-                jx, jy = gx * cam[CAM.fx] / Z, gy * cam[CAM.fy] / Z
+                jx, jy = gx * pixels[CAM.fx] / Z, gy * pixels[CAM.fy] / Z
                 jz = -(jx * X + jy * Y) / Z
+            if cam.ndim == 2:
+                ox, oy, oz = origin_of(X, Y, Z, cam)
+                X, Y, Z = X + ox, Y + oy, Z + oz
             points[0, n], points[1, n], points[2, n] = X, Y, Z
             jacobian[0, n], jacobian[1, n], jacobian[2, n] = jx, jy, jz
             jacobian[3, n] = Y * jz - Z * jy
@@ -175,7 +179,7 @@ def _select_row(  # type: ignore[no-untyped-def]
 def _select(image, depth, code, cam, sin_limit, gradient_min, edge, keep):  # type: ignore[no-untyped-def]
     """The points, Jacobians, values and weights of ``ReferenceLevel``; image, depth (H, W), NaN where unknown."""
     h = image.shape[0]
-    angles = _pixel_angles(code, cam, image.shape[1], h)
+    angles = _pixel_angles(code, panorama_of(cam), image.shape[1], h)
     counts = np.zeros(h + 1, np.int64)
     e2, e1 = np.empty((0, 0), np.float32), np.empty(0, np.float32)
     for y in prange(1, h - 1):

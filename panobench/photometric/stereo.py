@@ -55,16 +55,24 @@ class SweepOptions:
 class WorkingScale:
     """A width to work at, and what belongs to it.
 
-    camera: scaled. rays (H, W, 3) float32: unit rays, 0 where a pixel has none. valid (H, W) bool. cam, code: as from
-    ``camera_code``. level: of the pyramid.
+    camera: scaled. rays (H, W, 3) float32: unit rays, 0 where a pixel has none. valid (H, W) bool. level: of the
+    pyramid.
     """
 
     camera: Camera
     rays: F32
     valid: NDArray[np.bool_]
-    cam: F32
-    code: int
     level: int
+
+    @property
+    def code(self) -> int:
+        """As from ``camera_code``."""
+        return camera_code(self.camera)[0]
+
+    @property
+    def cam(self) -> F32:
+        """As from ``camera_code``; of a rig it changes as the rig's size in the map's unit becomes known."""
+        return camera_code(self.camera)[1]
 
     @classmethod
     def of(cls, camera: Camera, width: int) -> WorkingScale:
@@ -74,8 +82,8 @@ class WorkingScale:
             level, size = level + 1, (size[0] // 2, size[1] // 2)
         scaled = camera.scaled(camera.width >> level) if level else camera
         rays = np.nan_to_num(scaled.rays()).astype(np.float32)
-        code, cam = camera_code(scaled)
-        return cls(scaled, rays, scaled.valid_mask(), cam, code, level)
+        camera_code(scaled)  # refuses what cannot be aligned
+        return cls(scaled, rays, scaled.valid_mask(), level)
 
 
 def multi_view_depth(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from panobench.kernels.columns import CAM
 from panobench.kernels.fast_math import atan2_fast
 from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
+from panobench.photometric.lens_centres import moved_origin, shells_from_lenses
 from panobench.photometric.pyramid import F32
 from panobench.photometric.warp import sample, to_pixel
 
@@ -94,7 +95,10 @@ def sweep_cost(reference, rays, frames, R, t, depths, code, cam, truncation, fir
                     rx = R[f, 0, 0] * rays[y, x, 0] + R[f, 0, 1] * rays[y, x, 1] + R[f, 0, 2] * rays[y, x, 2]
                     ry = R[f, 1, 0] * rays[y, x, 0] + R[f, 1, 1] * rays[y, x, 1] + R[f, 1, 2] * rays[y, x, 2]
                     rz = R[f, 2, 0] * rays[y, x, 0] + R[f, 2, 1] * rays[y, x, 1] + R[f, 2, 2] * rays[y, x, 2]
-                    if code == 0:
+                    if cam.ndim == 2:
+                        tx, ty, tz = moved_origin(R[f], t[f], rays[y, x, 0], rays[y, x, 1], rays[y, x, 2], cam)
+                        shells_from_lenses(depths, rx, ry, rz, tx, ty, tz, cam, u, v)
+                    elif code == 0:
                         _shells_panorama(
                             depths, rx, ry, rz, t[f, 0], t[f, 1], t[f, 2], cam[CAM.width], cam[CAM.height], u, v
                         )
@@ -121,7 +125,8 @@ def reprojection_error(reference, rays, frames, R, t, depth, code, cam, truncati
                     rx = R[f, 0, 0] * rays[y, x, 0] + R[f, 0, 1] * rays[y, x, 1] + R[f, 0, 2] * rays[y, x, 2]
                     ry = R[f, 1, 0] * rays[y, x, 0] + R[f, 1, 1] * rays[y, x, 1] + R[f, 1, 2] * rays[y, x, 2]
                     rz = R[f, 2, 0] * rays[y, x, 0] + R[f, 2, 1] * rays[y, x, 1] + R[f, 2, 2] * rays[y, x, 2]
-                    u, v, ok = to_pixel(d * rx + t[f, 0], d * ry + t[f, 1], d * rz + t[f, 2], code, cam)
+                    tx, ty, tz = moved_origin(R[f], t[f], rays[y, x, 0], rays[y, x, 1], rays[y, x, 2], cam)
+                    u, v, ok = to_pixel(d * rx + tx, d * ry + ty, d * rz + tz, code, cam)
                     if ok:
                         s = abs(sample(frames[f], u, v, code) - value)
                         if s == s:

@@ -7,10 +7,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.rig_panorama import RigPanorama
 from panobench.errors import UnsupportedError
 from panobench.kernels.columns import CAM
 from panobench.kernels.fast_math import atan2_fast
 from panobench.kernels.jit import INLINE, JIT, JIT_FINITE
+from panobench.photometric.lens_centres import pixel_from_lenses, project_from_lenses, rig_parameters
 
 ERP, PINHOLE = 0, 1
 _PI = np.float32(np.pi)
@@ -21,10 +23,12 @@ _HALF, PER_TURN = np.float32(0.5), np.float32(0.5 / np.pi)
 def camera_code(camera: Camera) -> tuple[int, NDArray[np.float32]]:
     """ERP or PINHOLE, and the parameters (6,) of ``kernels.columns.CameraColumns`` in pixels.
 
-    Raises UnsupportedError for other cameras.
+    A panorama of a rig has more rows of them: see ``lens_centres``. Raises UnsupportedError for other cameras.
     """
     if camera.kind == "erp":
-        return ERP, np.array([camera.width, camera.height, 0, 0, 0, 0], np.float32)
+        size = np.array([camera.width, camera.height, 0, 0, 0, 0], np.float32)
+        lenses = camera.lenses if isinstance(camera, RigPanorama) else None
+        return ERP, size if lenses is None else rig_parameters(size, lenses)
     if camera.kind == "pinhole" and not any(getattr(camera, "distortion", ()) or ()):
         values = [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]  # type: ignore[attr-defined]
         return PINHOLE, np.array(values, np.float32)
@@ -35,13 +39,17 @@ def camera_code(camera: Camera) -> tuple[int, NDArray[np.float32]]:
 
 
 def parameters_at_level(parameters: NDArray[np.float32], level: int) -> NDArray[np.float32]:
-    """Parameters (6,) of the camera at a level of the pyramid: a plain division, as pixel centres lie at k + 0.5."""
+    """Parameters of the camera at a level of the pyramid: a plain division, as pixel centres lie at k + 0.5."""
+    if parameters.ndim == 2:
+        return np.concatenate([parameters[:1] / np.float32(2**level), parameters[1:]])
     return np.asarray(parameters / np.float32(2**level), dtype=np.float32)
 
 
 @njit(**JIT)
 def to_pixel(x, y, z, code, cam):  # type: ignore[no-untyped-def]
     """Point in the camera frame -> pixel u, v and whether it lies in front of the camera."""
+    if cam.ndim == 2:
+        return pixel_from_lenses(x, y, z, cam)
     if code == 0:
         rho = np.sqrt(x * x + z * z)
         u = cam[CAM.width] * (np.float32(0.5) + atan2_fast(x, z) / (2 * _PI))
@@ -82,6 +90,9 @@ def project_pinhole(X, Y, Z, R, t, cam, u, v):  # type: ignore[no-untyped-def]
 @njit(**JIT)
 def project(X, Y, Z, R, t, code, cam, u, v):  # type: ignore[no-untyped-def]
     """Write pixels u, v (n,) of points X, Y, Z (n,) moved by R (3, 3), t (3,); code, cam: as from ``camera_code``."""
+    if cam.ndim == 2:
+        project_from_lenses(X, Y, Z, R, t, cam, u, v)
+        return
     if code == 0:
         project_panorama(X, Y, Z, R, t, cam[CAM.width], cam[CAM.height], u, v)
     else:

@@ -27,6 +27,7 @@ from panobench.splat.chain import CHAIN_CHANNELS, GRADIENTS, G, gradient_block, 
 from panobench.splat.gaussians import F32, GaussianMap
 from panobench.splat.loss import photometric_loss
 from panobench.splat.render import Render
+from panobench.splat.rig_render import RigRender
 
 #: Steps after which the bias correction of either moment is taken to be 1.
 _CORRECTED = 4096
@@ -312,6 +313,10 @@ class GaussianAdam:
         d_planes (3, H, W): dL/d(colour planes). Returns dL/dtau (6,), see ``Gradients.pose``. Apart from rounding the
         result is that of ``render.backward`` and ``step``.
         """
+        if isinstance(render, RigRender):
+            found = render.backward(d_planes, planar=True)
+            self.step(render.gaussians, found.packed, rates, isotropy, scale_bounds)
+            return found.pose
         moments = render.moments(d_planes)
         pose = np.zeros((len(moments.sums), 6))
         _adam_from_moments(

@@ -145,6 +145,13 @@ class Render:
         """(H, W, 3) view."""
         return self.planes.transpose(1, 2, 0)
 
+    @property
+    def gaussians(self) -> GaussianMap:
+        """The map it shows. Raises RuntimeError once detached."""
+        if self._tape is None:
+            raise RuntimeError("this render was detached: it does not know its map any more")
+        return self._tape.gaussians
+
     def expected_depth(self, opacity_min: float = 0.5) -> F32:
         """Radial depth (H, W) = depth / opacity, NaN where the opacity is below ``opacity_min``."""
         with np.errstate(divide="ignore", invalid="ignore"):

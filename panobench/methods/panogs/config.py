@@ -61,6 +61,15 @@ class StitchOptions(Options):
 
 
 @dataclass(frozen=True)
+class RigOptions(Options):
+    """Several lenses with a centre each."""
+
+    enabled: bool = option(
+        True, "see through each lens of a rig from its own centre; off: through the stitched panorama"
+    )
+
+
+@dataclass(frozen=True)
 class TrackingOptions(Options):
     """Alignment of a frame to renders of the map."""
 
@@ -251,6 +260,7 @@ class PanogsConfig(Options):
     exposure: ExposureOptions = field(default_factory=ExposureOptions)
     rolling_shutter: RollingShutterOptions = field(default_factory=RollingShutterOptions)
     stitch: StitchOptions = field(default_factory=StitchOptions)
+    rig: RigOptions = field(default_factory=RigOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
     relocalisation: RelocalisationOptions = field(default_factory=RelocalisationOptions)
     keyframes: KeyframeOptions = field(default_factory=KeyframeOptions)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from panobench.geometry import invert_pose
 from panobench.methods.panogs.config import FactorOptions
 from panobench.methods.panogs.revisits import RevisitFactors
+from panobench.methods.panogs.rig_scale import RigScale
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.photometric.bundle import BundleOptions, refine
 from panobench.photometric.overlap import ViewWidth
@@ -43,9 +44,14 @@ class FactorGraph:
     """Frames that moved are numbered in order; the images of the first and of the last ones are kept."""
 
     def __init__(
-        self, scale: WorkingScale, width: ViewWidth, options: FactorOptions, revisits: RevisitFactors | None = None
+        self,
+        scale: WorkingScale,
+        width: ViewWidth,
+        options: FactorOptions,
+        revisits: RevisitFactors | None = None,
+        rig_scale: RigScale | None = None,
     ) -> None:
-        self.scale, self.options, self.revisits = scale, options, revisits
+        self.scale, self.options, self.revisits, self.rig_scale = scale, options, revisits, rig_scale
         self.bundle_options = BUNDLE[width]
         self.frames: list[_Frame] = []
         self.factors: list[BundleFactor] = []
@@ -125,6 +131,8 @@ class FactorGraph:
             factor = BundleFactor(k, np.array([n for n, _, _ in others]), bundle)
             self.factors = [f for f in self.factors if f.reference != k] + [factor]
             self.changed = True
+            if self.rig_scale is not None and bundle.units is not None:
+                self.rig_scale.add(target.index, bundle.units, len(others))
 
     def _depth_changed(self, before: F32 | None, after: F32) -> bool:
         """By ``renew_change`` or more, for the median pixel that is known in both."""

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.geometry import invert_pose
+from panobench.cameras.erp import ErpCamera
+from panobench.geometry import invert_pose, make_pose
+from panobench.inertial.fusion import Unit
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.maps.saved import SavedMap
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
@@ -32,6 +34,7 @@ from panobench.methods.panogs.place_recognition import Places
 from panobench.methods.panogs.rectify import Rectifier
 from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.revisits import RevisitFactors
+from panobench.methods.panogs.rig_frames import RigFrames
 from panobench.methods.panogs.rolling_shutter import RollingShutter
 from panobench.methods.panogs.seam import Seam
 from panobench.methods.panogs.start import FirstMap, Start
@@ -39,8 +42,10 @@ from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
+from panobench.photometric.pyramid import F32
 from panobench.splat.backend import device_for
 from panobench.splat.render import Renderer
+from panobench.splat.rig_render import renderer_for
 from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
@@ -70,11 +75,14 @@ class PanogsMethod(OnlineMethod):
     def start(self, camera: Camera, context: MethodContext) -> None:
         c, width = self.config, ViewWidth.of(camera)
         self.camera, self.context, self.phase = camera, context, Phase.WAITING
-        self.device = device_for(context.device, camera, self._projection)
+        self.rig = self._rig_of(camera)
+        self.places = Places(camera)
+        camera = self.rig.camera if self.rig else camera
+        self.device = None if self.rig else device_for(context.device, camera, self._projection)
         if context.device is not None and self.device is None:
-            context.warn("the GPU draws panoramas on the sphere alone: this run uses the CPU")
-        renderer = Renderer(camera, self._projection, c.rendering.low_pass, device=self.device)
-        tracking_renderer = Renderer(camera, self._projection, c.rendering.low_pass, stop=1e-3, device=self.device)
+            context.warn("the GPU draws panoramas of one centre on the sphere alone: this run uses the CPU")
+        renderer = renderer_for(camera, self._projection, c.rendering.low_pass, device=self.device)
+        tracking_renderer = renderer_for(camera, self._projection, c.rendering.low_pass, stop=1e-3, device=self.device)
 
         self.trajectory = AnchoredTrajectory()
         # A saved map has a frame of its own, in which the poses stay.
@@ -82,7 +90,6 @@ class PanogsMethod(OnlineMethod):
         self.inertial = InertialStage(imu, context.log, context.warn, self.trajectory.get)
         self.in_metres = False
         self.tracker = Tracker(camera, tracking_renderer, c)
-        self.places = Places(camera)
         self.relocaliser = Relocaliser(self.tracker, self.places, c.relocalisation)
         self.mapper = Mapper(camera, renderer, c, self.trajectory, context.seed)
         self.tracker.transients = self.mapper.transients
@@ -92,7 +99,7 @@ class PanogsMethod(OnlineMethod):
         self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)
         buffer = self.lag.buffer
         revisits = RevisitFactors(buffer.sweep_scale, c.revisits) if c.revisits.enabled else None
-        self.graph = FactorGraph(buffer.fine_scale, width, c.factors, revisits)
+        self.graph = FactorGraph(buffer.fine_scale, width, c.factors, revisits, self.rig.scale if self.rig else None)
         self.jobs = BackgroundJobs(self.mapper, self.trajectory, self.graph, self.lag, width)
         self.trajectory.followers = [self.mapper, self.tracker, self.relocaliser]
 
@@ -103,6 +110,16 @@ class PanogsMethod(OnlineMethod):
         if context.saved_map is not None:
             self._go_on(context.saved_map)
 
+    def _rig_of(self, camera: Camera) -> RigFrames | None:
+        """What there is to a rig whose lenses are seen through; None where frames are taken as they come."""
+        rig, c = self.context.rig, self.config
+        if rig is None or not c.rig.enabled or not isinstance(camera, ErpCamera):
+            return None
+        if self.context.saved_map is not None:
+            self.context.log("rig: a saved map is gone on with through the stitched panorama")
+            return None
+        return RigFrames(rig, camera, 2 * c.factors.reach / c.factors.every, self.context)
+
     @property
     def _projection(self) -> Projection:
         chosen = self.config.rendering.projection
@@ -112,6 +129,8 @@ class PanogsMethod(OnlineMethod):
 
     def track(self, frame: Frame) -> Pose | None:
         self.inertial.saw(frame.index, frame.time)
+        if self.rig:
+            frame = self.rig.frame(frame)
         if self._is_blank(frame.image):
             self._skip(frame)
         elif self.phase is Phase.WAITING:
@@ -228,16 +247,20 @@ class PanogsMethod(OnlineMethod):
         if start is None:
             return
         self._enter(Phase.TRACKING)
-        self.first_depth, first = start.depth, start.first
+        first, self.first_depth = start.first, start.depth
+        if self.rig:
+            lumas = {f.index: self._fine_luma(f) for f in start.frames if f.index in start.depth.T_wc}
+            lumas[first.index] = self._fine_luma(first)
+            self.first_depth = self.rig.scale.start(start.depth, lumas, self.lag.buffer.fine_scale)
         view = View(first.index, first.image, np.eye(4), visible=first.mask)
         self.shutter.record(first.time, view.T_wc)
-        self.mapper.initialise(view, first.time, start.depth.depth)
+        self.mapper.initialise(view, first.time, self.first_depth.depth)
         levels = self.tracker.frame_pyramid(view.image, first.mask)
         self.graph.add(first.index, levels[self.lag.buffer.fine_scale.level])
         self.places.add(self.places.thumbnail(levels[-1]))
         self.tracker.reset(view.T_wc)
         self._note(first, keyframe=1.0)
-        estimated = start.depth.T_wc
+        estimated = self.first_depth.T_wc
         self.before_first = [f for f in start.frames if f.index < first.index]
         for frame in self.before_first:  # until there is a map to track them against, the estimator's poses have to do
             if frame.index in estimated:
@@ -247,6 +270,10 @@ class PanogsMethod(OnlineMethod):
                 if frame.index in estimated:
                     self.tracker.expect(estimated[frame.index])
                 self._process(frame)
+
+    def _fine_luma(self, frame: Frame) -> F32:
+        """(h, w) at the fine working size."""
+        return self.tracker.frame_pyramid(frame.image, frame.mask)[self.lag.buffer.fine_scale.level]
 
     def _go_on(self, saved: SavedMap) -> None:
         """Start lost in a saved map: the first frames are looked for in it."""
@@ -266,7 +293,8 @@ class PanogsMethod(OnlineMethod):
         self.jobs.finish()
         self._track_before_first()
         self.mapper.optimiser.finish()
-        metric = self._to_metres()
+        unit = self.rig.unit(self.tracker.pixel, self.mapper.scene_depth) if self.rig else None
+        metric = self._to_metres(unit)
         mine = [index for index in self.trajectory if index >= 0]  # others are a saved map's
         known = {index: (self.trajectory.time(index), self.trajectory[index]) for index in mine}
         if metric is not None:  # with frames that vision has no pose of
@@ -283,27 +311,39 @@ class PanogsMethod(OnlineMethod):
         }
         if self.inertial.enabled:
             extra["inertial"] = self.inertial.numbers
+        if self.rig:
+            extra |= self.rig.numbers
         return Estimate(
             Trajectory(times, poses),
             keyframes=sorted(v.index for v in self.trajectory.keyframes if v.index >= 0),
             metric=self._metric,
-            gravity_aligned=self.in_metres,
+            gravity_aligned=metric is not None,
             map=gaussians.on_host() if len(gaussians) else None,
             frames=self.numbers,
             depth=self.first_depth,
             extra=extra,
         )
 
-    def _to_metres(self) -> MetricPoses | None:
-        """Move trajectory and map to the metric, upright world of the visual-inertial fit, if there is an IMU."""
-        if not self.inertial.enabled:
-            return None
-        metric = self.inertial.finish([{index: self.trajectory[index] for index in self.trajectory}])
+    def _to_metres(self, unit: Unit | None) -> MetricPoses | None:
+        """Move trajectory and map into metres, as far as an IMU and the distance of a rig's lenses tell them.
+
+        With an IMU the world is upright, too, and its poses are returned. unit: by the lenses.
+        """
+        here = {index: self.trajectory[index] for index in self.trajectory}
+        metric = self.inertial.finish([here], unit)
         if metric is not None:
-            poses = {index: T for index, T in metric.poses.items() if index in self.trajectory}
-            everywhere = frozenset(v.index for v in self.trajectory.keyframes)
-            self.trajectory.correct(Correction(poses, True, everywhere, metric.scale))
-            self.in_metres = True
+            metres = metric.scale
+            poses = {index: T for index, T in metric.poses.items() if index in here}
+        elif unit is not None:
+            metres = unit.metres
+            poses = {index: make_pose(T[:3, :3], metres * T[:3, 3]) for index, T in here.items()}
+        else:
+            return None
+        everywhere = frozenset(v.index for v in self.trajectory.keyframes)
+        self.trajectory.correct(Correction(poses, True, everywhere, metres))
+        self.in_metres = True
+        if self.rig:
+            self.rig.scale.lenses.units_per_metre = 1.0
         return metric
 
     def _track_before_first(self) -> None:

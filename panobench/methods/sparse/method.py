@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, make_pose, renormalise, so3_log
+from panobench.inertial.fusion import Unit
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.sparse.config import SparseConfig
@@ -295,13 +296,14 @@ class SparseMethod(OnlineMethod):
             extra["reprojection_px"] = adjust_window(m, self.config, focal, everything, self.config.final_ba)
         if self.config.stitch_mm and self.camera.kind == "erp" and not m.lenses.several:
             session.grew(undo_stitching(m, session.records, self.config, focal, extra))
-        if self.rig_faces is None:
-            readout_s = correct_shutter(session, self.camera, self.config, focal, self.context.log)
-            extra["readout_ms"] = round(1e3 * readout_s, 2)
+        rig = None if self.rig_faces is None else self.context.rig
+        readout_s = correct_shutter(session, self.camera, self.config, focal, self.context.log, rig)
+        extra["readout_ms"] = round(1e3 * readout_s, 2)
         by_lenses = self.face_set.lenses.several and self._judge_scale(m, extra)
+        sigma = extra["scale_sigma_percent"] if by_lenses else None
         poses = refined_poses(session, self.config, focal)
         extra["points"] = int((m.state == ACTIVE).sum())
-        metric = self._metric(session, poses, sessions)
+        metric = self._metric(session, poses, sessions, None if sigma is None else Unit(1.0, 0.01 * sigma))
         if self.inertial.enabled:
             extra["inertial"] = self.inertial.numbers
         if metric is not None:
@@ -329,8 +331,13 @@ class SparseMethod(OnlineMethod):
         self.context.warn("the rig turned too little for its lenses' distance to tell the scale: it is not metric")
         return False
 
-    def _metric(self, session: Session, poses: dict[int, Array], sessions: list[Session]) -> MetricPoses | None:
-        """The trajectory in metres, of all maps, if there is an IMU; frames of several maps count for the longest."""
+    def _metric(
+        self, session: Session, poses: dict[int, Array], sessions: list[Session], unit: Unit | None
+    ) -> MetricPoses | None:
+        """The trajectory in metres, of all maps, if there is an IMU; frames of several maps count for the longest.
+
+        unit: what a rig's lenses tell of the map's.
+        """
         if not self.inertial.enabled:
             return None
         maps = [poses]
@@ -338,7 +345,7 @@ class SparseMethod(OnlineMethod):
             known = {index for found in maps for index in found}
             refined = refined_poses(other, self.config, self.face_set.focal)
             maps.append({index: T for index, T in refined.items() if index not in known})
-        return self.inertial.finish(maps)
+        return self.inertial.finish(maps, unit)
 
     def known_poses(self) -> dict[int, Array]:
         """Those of the map with most frames, which ``finish`` answers with."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.rig import Rig
 from panobench.geometry import invert_pose
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.mapping import adjust_window
@@ -34,10 +35,20 @@ def refined_poses(session: Session, config: SparseConfig, focal: float) -> dict[
 
 
 def correct_shutter(
-    session: Session, camera: Camera, config: SparseConfig, focal: float, log: Callable[[str], None]
+    session: Session,
+    camera: Camera,
+    config: SparseConfig,
+    focal: float,
+    log: Callable[[str], None],
+    rig: Rig | None = None,
 ) -> float:
-    """Readout in seconds; if it is not 0, bearings are turned to their frames' middle rows and adjusted again."""
+    """Readout in seconds; if it is not 0, bearings are turned to their frames' middle rows and adjusted again.
+
+    rig: whose lenses' rows they are, where there are several; a readout that these say counts unless one is given.
+    """
     given = config.readout_ms
+    if rig is not None and given == 0 and rig.readout_s is not None:
+        given = 1e3 * rig.readout_s
     if given == 0 or len(session.records) < 3:
         return 0.0
 
@@ -45,7 +56,7 @@ def correct_shutter(
         return np.stack(list(refined_poses(session, config, focal).values()))
 
     m = session.map
-    rows = RowBearings(camera, m, session.records)
+    rows = RowBearings(camera, m, session.records, rig)
     rows.follow(poses())
     readout = estimate_readout(rows, m, config, focal) if given is None else Readout(1e-3 * given)
     if given is None and readout.best_s:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from panobench.cameras.base import Camera
-from panobench.cameras.row_times import rates_along, rotated, row_times, velocities_along
+from panobench.cameras.rig import Rig
+from panobench.cameras.row_times import rates_along, rig_row_times, rotated, row_times, velocities_along
 from panobench.methods.sparse.bundle import bundle_adjust
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
@@ -46,10 +47,13 @@ class Readout:
 
 
 class RowBearings:
-    """The bearings of keyframes and frames as they were measured, which can be turned to the middle of their frames."""
+    """The bearings of keyframes and frames as they were measured, which can be turned to the middle of their frames.
 
-    def __init__(self, camera: Camera, m: PointMap, records: list[FrameRecord]) -> None:
-        self.camera, self.map = camera, m
+    rig: the lenses whose rows they are of, where there are several; else they are the camera's.
+    """
+
+    def __init__(self, camera: Camera, m: PointMap, records: list[FrameRecord], rig: Rig | None = None) -> None:
+        self.camera, self.map, self.rig = camera, m, rig
         self.records = sorted(records, key=lambda r: r.index)
         self.measured = [r.bearings.astype(np.float64) for r in self.records]
         self.rates: dict[int, Array] = {}
@@ -69,10 +73,11 @@ class RowBearings:
         return self._turned(key.measured, readout_s, self.rates.get(key.frame, np.zeros(3)))
 
     def origins(self, key: Keyframe, readout_s: float) -> Array:
-        """Where these bearings begin (n, 3), in the axes of the middle row: what the camera travelled since."""
+        """Where these bearings begin (n, 3), in the axes of the middle row: their lens, and what has been travelled."""
         assert key.measured is not None
-        rows = self._row_times(key.measured)
-        return np.asarray(readout_s * rows[:, None] * self.velocities.get(key.frame, np.zeros(3)))
+        rows, lenses = self._row_times(key.measured), self.map.lenses.origins(key.measured)
+        travelled = np.asarray(readout_s * rows[:, None] * self.velocities.get(key.frame, np.zeros(3)))
+        return travelled if lenses is None else lenses + travelled
 
     def turn(self, readout_s: float) -> None:
         """Give keyframes and frames their bearings at the middle row."""
@@ -85,7 +90,9 @@ class RowBearings:
         return rotated(bearings, readout_s * self._row_times(bearings), rate)
 
     def _row_times(self, bearings: Array) -> Array:
-        return row_times(self.camera, bearings[:, None])[:, 0] if len(bearings) else np.zeros(0)
+        if not len(bearings):
+            return np.zeros(0)
+        return rig_row_times(self.rig, bearings) if self.rig else row_times(self.camera, bearings[:, None])[:, 0]
 
 
 def estimate_readout(rows: RowBearings, m: PointMap, config: SparseConfig, focal: float) -> Readout:

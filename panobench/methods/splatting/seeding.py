@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.cameras.rig_panorama import RigPanorama
 from panobench.geometry import fibonacci_sphere, quaternion_from_matrix
 from panobench.splat.gaussians import F32, GaussianMap
 
@@ -129,9 +130,12 @@ def seed_gaussians(
     base = scale_factor * spacing * d
     scales = np.stack([base / cosine, base, flatten * base], axis=1)
     R_wc, t = T_wc[:3, :3], T_wc[:3, 3]
+    points = rays * d[:, None]
+    if isinstance(camera, RigPanorama):
+        points += camera.origins()[y, x]
     quats = quaternion_from_matrix(R_wc @ axes)
     return GaussianMap(
-        ((rays * d[:, None]) @ R_wc.T + t).astype(np.float32),
+        (points @ R_wc.T + t).astype(np.float32),
         np.log(scales).astype(np.float32),
         quats.astype(np.float32),
         np.full(len(d), np.log(opacity / (1 - opacity)), np.float32),

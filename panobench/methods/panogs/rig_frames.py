@@ -1,0 +1,52 @@
+"""A rig's frames as panogs sees them: the lenses' pictures side by side in one panorama of many centres."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.rig import Rig
+from panobench.cameras.rig_panorama import LensCentres, LensPictures, RigPanorama
+from panobench.inertial.fusion import Unit
+from panobench.methods.base import MethodContext
+from panobench.methods.panogs.rig_scale import RigScale
+from panobench.types import Frame
+
+#: A scale whose standard deviation is larger than this share is not called metric.
+METRIC_SIGMA = 0.1
+
+
+class RigFrames:
+    """camera: what the frames are of. scale: what its lenses' distance tells. numbers: for run.json, at the end.
+
+    overlap: as for ``RigScale``.
+    """
+
+    def __init__(self, rig: Rig, camera: ErpCamera, overlap: float, context: MethodContext) -> None:
+        lenses = LensCentres.of(rig)
+        self.camera, self.context = RigPanorama.of(rig, camera, lenses), context
+        self.scale = RigScale(lenses, overlap, context.log)
+        self.numbers: dict[str, Any] = {}
+        self._pictures = LensPictures(rig, self.camera)
+
+    def frame(self, frame: Frame) -> Frame:
+        """The frame with the lenses' pictures in place of the stitched one."""
+        return replace(frame, image=self._pictures.image(frame.lenses))
+
+    def unit(self, pixel_angle: float, scene_depth: float) -> Unit | None:
+        """The map's unit in metres, if the lenses' distance tells it; arguments as for ``RigScale.sigma``."""
+        sigma = self.scale.sigma(pixel_angle, scene_depth)
+        self.numbers = {
+            "lenses": len(self.scale.lenses.centres_m),
+            "scale_from": "the distance between the lenses",
+            "scale_sigma_percent": 100 * sigma if np.isfinite(sigma) else None,
+        }
+        if not sigma <= METRIC_SIGMA:
+            self.context.warn("the rig turned too little for its lenses' distance to tell the scale: it is not metric")
+            return None
+        metres = 1 / self.scale.lenses.units_per_metre
+        self.context.log(f"a unit of the map is {metres:.4g} m by the lenses' distance (+- {sigma:.2%})")
+        return Unit(metres, sigma)
