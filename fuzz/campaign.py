@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import hashlib
 import json
+import math
 import os
 import random
 import resource
@@ -96,16 +97,18 @@ class Campaign:
         }
 
 
-def with_random(campaign: Campaign, inputs: int, seed: int) -> None:
+def with_random(campaign: Campaign, inputs: int, seed: int, until: float = math.inf) -> None:
     """Uniformly random documents and one to six changes, ten times as fast as Hypothesis."""
     rng = random.Random(seed)
     start = material(campaign.name)
     for _ in range(inputs):
+        if time.perf_counter() > until:
+            break
         changes = [change(rng.getrandbits(51)) for _ in range(rng.randint(1, 6))]
         campaign.feed(damaged(start, rng.getrandbits(16), changes))
 
 
-def with_hypothesis(campaign: Campaign, inputs: int, seed: int) -> None:
+def with_hypothesis(campaign: Campaign, inputs: int, seed: int, until: float = math.inf) -> None:
     """Hypothesis draws the document and up to six changes, each as one number."""
     from hypothesis import HealthCheck, Phase, given, settings
     from hypothesis import seed as seeded
@@ -115,7 +118,7 @@ def with_hypothesis(campaign: Campaign, inputs: int, seed: int) -> None:
     numbers = st.lists(st.integers(0, (1 << 51) - 1), min_size=2, max_size=7)  # few draws: Hypothesis takes its time
     # Hypothesis keeps a tree of all it has drawn; batches bound its memory and the time to search it.
     batch, done = 5000, 0
-    while done < inputs:
+    while done < inputs and time.perf_counter() < until:
         n = min(batch, inputs - done)
 
         @seeded(seed * 1_000_003 + done)
@@ -160,7 +163,7 @@ def run_target(name: str, options: argparse.Namespace) -> dict[str, object]:
         clock = time.perf_counter()
         with limits(options.gib):
             engine = with_random if options.engine == "random" else with_hypothesis
-            engine(campaign, options.inputs, options.seed)
+            engine(campaign, options.inputs, options.seed, clock + options.limit)
         return campaign.summary(time.perf_counter() - clock)
 
 
@@ -172,6 +175,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=10.0, help="longest processor time for one input")
     parser.add_argument("--gib", type=float, default=2.0, help="memory an input may take beside what is loaded")
+    parser.add_argument(
+        "--limit", type=float, default=math.inf, help="seconds after which a target ends with what it did"
+    )
     parser.add_argument("--engine", choices=("random", "hypothesis"), default="random")
     parser.add_argument("--crashes", type=Path, default=Path("fuzz-crashes"))
     options = parser.parse_args()
