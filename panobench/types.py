@@ -8,6 +8,7 @@ depth is radial distance in metres, float32, NaN where unknown; pixel centres at
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -124,6 +125,8 @@ class Estimate:
     frames:     per-frame numbers keyed by frame index, written to frames.csv (loss, iterations, ...).
     depth:      the depth the map was started with, for the report (see ``DepthEstimate``).
     extra:      JSON-serialisable remarks for run.json.
+    moving:     by frame index, masks (H, W) that are False where the method found that something moves by itself, and
+                left it out (contract 1.1).
     """
 
     trajectory: Trajectory
@@ -134,6 +137,7 @@ class Estimate:
     frames: dict[int, dict[str, float]] = field(default_factory=dict)
     depth: DepthEstimate | None = None
     extra: dict[str, Any] = field(default_factory=dict)
+    moving: Mapping[int, NDArray[np.bool_]] = field(default_factory=dict)
 
 
 @dataclass

@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.bench.record import MaskRecord
+from panobench.bench.record import MaskRecord, MovingRecord
 from panobench.bench.views import ChosenFrames, MethodSequence
 from panobench.cameras.base import Camera
 from panobench.errors import DatasetError, PanobenchError, UnavailableError, UnknownNameError, UsageError
 from panobench.masks.base import MaskEstimate, MaskEstimator
 from panobench.masks.files import MaskFile, read_mask_file
+from panobench.masks.frame_masks import FrameMasks, write_frame_masks
 from panobench.plugins import registry
 from panobench.specs import DatasetSpec, MaskSpec
 
+Mask = NDArray[np.bool_]
 #: Values of the run option ``mask`` that are neither an estimator nor a file.
 AUTO, NONE = "auto", "none"
 #: The estimator that ``auto`` means.
 DEFAULT_MASK = "geometry"
 #: The mask in a run's folder (white: the method saw it), and a frame on which it is drawn.
 MASK, HIDDEN = "mask.png", "hidden.jpg"
+#: Folders of masks of single frames: what else was hidden from the method, and what it left out by itself.
+FRAME_MASKS, MOVING = "masks", "moving"
+#: How they are drawn: hidden from the method, and left out by it (RGB).
+HIDDEN_COLOUR, MOVING_COLOUR = (230, 50, 60), (250, 190, 30)
 
 
 @dataclass(frozen=True)
@@ -119,6 +125,7 @@ def apply_mask(
         valid = found.valid
         if found.frames and frame_masks:
             sequence.hide_in_frames(found.frames)
+            record.frames = len(found.frames)
         elif found.frames:
             valid = valid & np.all(list(found.frames.values()), axis=0)
         if not (before & valid).any():
@@ -140,14 +147,43 @@ def _share(camera: Camera, pixels: NDArray[np.bool_]) -> float:
     return round(float(area[pixels].sum() / max(float(area.sum()), 1e-12)), 6)
 
 
-def write_mask(folder: Path, renders: Path, sequence: ChosenFrames) -> None:
-    """mask.png (white: seen) below ``folder``, and below ``renders`` a frame with what is hidden drawn red."""
+def moving_record(sequence: ChosenFrames, moving: Mapping[int, Mask]) -> MovingRecord | None:
+    """What is said about the masks (H, W) of what a method left out by itself, if it left out anything."""
+    camera = sequence.camera.with_mask(None)
+    shares = [_share(camera, ~mask) for mask in moving.values()]
+    return MovingRecord(len(shares), round(float(np.mean(shares)), 6), max(shares)) if shares else None
+
+
+def write_masks(folder: Path, renders: Path, sequence: ChosenFrames, moving: Mapping[int, Mask]) -> None:
+    """mask.png (white: seen), and ``masks/`` and ``moving/`` with those of single frames, as far as there are any.
+
+    Below ``renders`` the frame of which most is hidden, the middle one if all are alike, with what is hidden drawn red
+    and what the method left out (``moving``, False) yellow.
+    """
     from panobench.datasets.images import write_image
 
     valid = sequence.camera.valid_mask()
-    write_image(folder / MASK, np.uint8(valid) * 255)
+    masks = FrameMasks()
+    for index in range(len(sequence)):
+        own = sequence.frame_mask(index)
+        if own is not None:
+            masks.put(index, own)
+    write_frame_masks(folder / FRAME_MASKS, masks)
+    write_frame_masks(folder / MOVING, moving)
+    if not valid.all():
+        write_image(folder / MASK, np.uint8(valid) * 255)
+    every = {index: (masks.get(index), moving.get(index)) for index in {*masks, *moving}}
+    most = max(every, key=lambda i: sum(int((~m).sum()) for m in every[i] if m is not None), default=None)
+    if most is None and valid.all():
+        return
+    own, left_out = every.get(most, (None, None)) if most is not None else (None, None)
+    hidden = ~valid if own is None else ~(valid & own)
+    image = sequence.image(len(sequence) // 2 if most is None else most)
+    if left_out is not None:
+        image = _tinted(image, ~left_out & ~hidden, MOVING_COLOUR)
     renders.mkdir(exist_ok=True)
-    image = sequence.image(len(sequence) // 2)
-    red = np.array([230, 50, 60])
-    drawn = np.where(valid[..., None], image, (0.45 * image + 0.55 * red).astype(np.uint8))
-    write_image(renders / HIDDEN, np.asarray(drawn, dtype=np.uint8), quality=88)
+    write_image(renders / HIDDEN, _tinted(image, hidden, HIDDEN_COLOUR), quality=88)
+
+
+def _tinted(image: NDArray[np.uint8], where: Mask, colour: tuple[int, int, int]) -> NDArray[np.uint8]:
+    return np.where(where[..., None], 0.45 * image + 0.55 * np.array(colour), image).astype(np.uint8)

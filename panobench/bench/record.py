@@ -160,7 +160,8 @@ class MaskRecord(JsonRecord):
 
     source: the estimator's name, "file", or "" for what the camera itself does not see. file: the mask's name.
     ok, message: what the estimator says of itself. found: share of the camera's view it hid; hidden: share that is
-    hidden altogether, a mask that came with the data included. seconds: how long it took to find.
+    hidden altogether, a mask that came with the data included. frames: how many frames have masks of their own, which
+    hide more. seconds: how long it took to find.
     """
 
     source: str = ""
@@ -169,8 +170,18 @@ class MaskRecord(JsonRecord):
     message: str = ""
     found: float = 0.0
     hidden: float = 0.0
+    frames: int = 0
     seconds: float | None = optional()
     details: dict[str, Any] | None = optional()
+
+
+@dataclass
+class MovingRecord(JsonRecord):
+    """What a method found to move by itself and left out: in how many frames, and the mean and largest share."""
+
+    frames: int = 0
+    mean: float = 0.0
+    most: float = 0.0
 
 
 @dataclass
@@ -273,7 +284,8 @@ class RunRecord(JsonRecord):
     status: a RunStatus value; message: why it is not ok. origin: "measured", "imported" or "published".
     metric: the method says that its scale is metres; gravity_aligned: that its world's z axis points up.
     notes: metric -> why it is None or odd. keyframes: frame indices.
-    mask: what hid part of the view, if anything did. gpu: the name of the GPU that maps were computed on, if one was.
+    mask: what hid part of the view, if anything did. moving: what the method left out by itself, if anything.
+    gpu: the name of the GPU that maps were computed on, if one was.
     groundtruth: whether a frame has any; groundtruth_scaled: in metres.
     truth, verdict: None for runs stored before there were such.
     remarks: what the dataset says about its data. extra: what the method reports.
@@ -296,6 +308,7 @@ class RunRecord(JsonRecord):
     keyframes: list[int] = field(default_factory=list)
     depth: DepthRecord = field(default_factory=DepthRecord)
     mask: MaskRecord | None = optional()
+    moving: MovingRecord | None = optional()
     gpu: str | None = optional()
     groundtruth: bool = False
     groundtruth_scaled: bool = True

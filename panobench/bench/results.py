@@ -11,7 +11,7 @@ import numpy as np
 
 from panobench.bench.config import config_values
 from panobench.bench.evaluate import Scores
-from panobench.bench.masking import write_mask
+from panobench.bench.masking import moving_record, write_masks
 from panobench.bench.provenance import ProvenanceRecord
 from panobench.bench.record import (
     DepthRecord,
@@ -176,8 +176,8 @@ def write_run(folder: Path, record: RunRecord, setup: RunSetup, tracked: Tracked
             record.notes["map"] = str(error)
     if estimate.depth is not None:
         write_depth(folder / RENDERS, estimate.depth)
-    if record.mask is not None and record.mask.hidden:
-        write_mask(folder, folder / RENDERS, sequence)
+    record.moving = moving_record(sequence, estimate.moving)
+    write_masks(folder, folder / RENDERS, sequence, estimate.moving)
     write_record(folder, record)
 
 

@@ -46,6 +46,11 @@ class PerspectiveCut:
         source = enlarge(image) if self._panorama else image
         return np.clip(self._reprojector.image(source), 0.0, 1.0)
 
+    def shows(self, visible: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """``valid``, where a mask (H, W) of the frame is True besides."""
+        seen = np.repeat(visible[..., None], 3, axis=2).astype(np.float32)
+        return np.asarray(self.valid & (self.image(seen)[..., 0] > 0.98))
+
     def pose(self, T_wc: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pose of the camera -> pose of the view."""
         return self._reprojector.poses(T_wc)

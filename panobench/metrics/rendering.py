@@ -64,7 +64,7 @@ def rendering_metrics(data: MetricInput) -> dict[str, float | None]:
             return {}
         if i in stored and data.renders is not None:
             write_pair(data.renders, f"{i:06d}", render, truth)
-        judge.add(means, truth, render, poses[i], held_out=i in held)
+        judge.add(means, truth, render, poses[i], held_out=i in held, visible=data.sequence.frame_mask(i))
     novel_views(data, judge, means)
     return means.result()
 
@@ -105,32 +105,47 @@ class FrameJudge:
             raise UnsupportedError(f"render() returned shape {image.shape}, expected {expected}")
         return np.clip(np.nan_to_num(np.asarray(image, np.float32)), 0.0, 1.0)
 
-    def add(self, means: Means, truth: Image, render: Image, T_wc: NDArray[np.float64], held_out: bool) -> None:
-        plain, weighted = psnr(render, truth, self.valid), psnr(render, truth, self.solid_angle)
+    def add(
+        self,
+        means: Means,
+        truth: Image,
+        render: Image,
+        T_wc: NDArray[np.float64],
+        held_out: bool,
+        visible: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Compare a render with what it should show, where the frame shows the scene: ``visible`` (H, W)."""
+        seen = self.valid if visible is None else self.valid & visible
+        plain, weighted = psnr(render, truth, seen), psnr(render, truth, self.solid_angle * seen)
         means.add("holdout_psnr_db" if held_out else "pano_psnr_db", plain)
         means.add("holdout_ws_psnr_db" if held_out else "ws_psnr_db", weighted)
-        for picture, reference, valid in self._view_pairs(truth, render):
+        for picture, reference, valid in self._view_pairs(truth, render, visible):
             means.add("holdout_views_psnr_db" if held_out else "psnr_db", psnr(picture, reference, valid))
             if not held_out:
                 means.add("ssim", ssim(picture, reference, valid))
                 if self.lpips is not None:
                     means.add("lpips", self.lpips(picture, reference, valid))
         if not held_out:
-            self._add_direct(means, truth, T_wc)
+            self._add_direct(means, truth, T_wc, visible)
 
-    def _view_pairs(self, truth: Image, render: Image) -> Iterable[tuple[Image, Image, NDArray[np.bool_]]]:
+    def _view_pairs(
+        self, truth: Image, render: Image, visible: NDArray[np.bool_] | None
+    ) -> Iterable[tuple[Image, Image, NDArray[np.bool_]]]:
         """The views of the map and of the frame, both cut out in the same way."""
         if not self.views:
-            yield render, truth, self.valid
+            yield render, truth, self.valid if visible is None else self.valid & visible
         for view in self.views:
-            yield view.image(render), view.image(truth), view.valid
+            yield view.image(render), view.image(truth), view.valid if visible is None else view.shows(visible)
 
-    def _add_direct(self, means: Means, truth: Image, T_wc: NDArray[np.float64]) -> None:
+    def _add_direct(
+        self, means: Means, truth: Image, T_wc: NDArray[np.float64], visible: NDArray[np.bool_] | None
+    ) -> None:
         """Views rendered straight into the perspective camera, against the interpolated frame."""
         for view in self.views:
             picture = self.render(view.camera, view.pose(T_wc))
             if picture is not None:
-                means.add("direct_psnr_db", psnr(picture, view.image(truth), view.valid))
+                valid = view.valid if visible is None else view.shows(visible)
+                means.add("direct_psnr_db", psnr(picture, view.image(truth), valid))
 
 
 def novel_views(data: MetricInput, judge: FrameJudge, means: Means) -> None:

@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from panobench.bench.masking import FRAME_MASKS, HIDDEN_COLOUR, MOVING, MOVING_COLOUR
+from panobench.masks.frame_masks import mask_name
 from panobench.report.images import BUDGET, Picture, Plan, encode, encode_file, plan, read, spread
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure
@@ -65,6 +68,33 @@ class Gallery:
             self.store[key] = encode(cover, self.plan.width, 100).uri
         return key
 
+    def add_tint(self, run: Run, frame: int) -> str | None:
+        """The key of a picture to lay over a frame: red where it was hidden from the method, yellow where the method
+        left out what moves, clear elsewhere; None where all of it was used.
+        """
+        name = mask_name(frame)
+        files = (run.mask, run.folder / FRAME_MASKS / name), (run.folder / MOVING / name,)
+        hidden, moving = (_hidden_in([path for path in group if path is not None]) for group in files)
+        shown = hidden if hidden is not None else moving
+        if shown is None:
+            return None
+        tint = np.zeros((*shown.shape, 4), np.uint8)
+        for where, colour in ((moving, MOVING_COLOUR), (hidden, HIDDEN_COLOUR)):
+            if where is not None and where.shape == shown.shape:
+                tint[where] = (*colour[::-1], 140)
+        key = f"tint-{hashlib.sha1(tint.tobytes(), usedforsecurity=False).hexdigest()[:12]}"
+        if key not in self.store:
+            self.store[key] = encode(tint, self.plan.width, 60).uri
+        return key
+
+
+def _hidden_in(paths: Sequence[Path]) -> NDArray[np.bool_] | None:
+    """(H, W): what any of the masks (black) hides; None without masks of one size."""
+    found = [
+        image.reshape(*image.shape[:2], -1).max(axis=2) < 128 for path in paths if (image := read(path)) is not None
+    ]
+    return np.any(found, axis=0) if found and len({mask.shape for mask in found}) == 1 else None
+
 
 def copy_map(run: Run, gallery: Gallery, number: int) -> str | None:
     """Copy the run's map.ply to the assets; the link to it, None without assets or map."""
@@ -103,14 +133,15 @@ def viewer(runs: Sequence[Run], labels: Sequence[str], gallery: Gallery) -> dict
     """Data of the viewer of one sequence, None without pictures.
 
     Keys: frames (indices), start (which entry of runs is shown first), panorama (whether one can look around in any),
-    runs (each label, run, width, height, panorama, mask: the key of a cover for what was not compared or None, and
-    images: frame -> [render key, truth key or None]).
+    runs (each label, run, width, height, panorama, mask: the key of a cover for what was not compared or None,
+    images: frame -> [render key, truth key or None], and tints: frame -> key of what was hidden, where anything was).
     """
     frames = choose_frames(runs, gallery.plan.frames)
     shown: list[dict[str, Any]] = []
     for i, run in enumerate(runs):
         by_frame = {pair.frame: pair for pair in run.pairs if not pair.novel}
         images: dict[str, list[str | None]] = {}
+        tints: dict[str, str] = {}
         for frame in frames:
             pair = by_frame.get(frame)
             if pair is None:
@@ -118,12 +149,15 @@ def viewer(runs: Sequence[Run], labels: Sequence[str], gallery: Gallery) -> dict
             render = gallery.add(pair.render)
             if render is not None:
                 images[str(frame)] = [render, gallery.add(pair.truth)]
+                tint = gallery.add_tint(run, frame)
+                if tint is not None:
+                    tints[str(frame)] = tint
         if images:
             width, height = gallery.sizes[str(next(iter(images.values()))[0])]
             around = width == 2 * height and run.variant.get("camera", "erp").startswith("erp")
             about = {"label": labels[i], "run": i, "width": width, "height": height, "panorama": around}
             about["mask"] = gallery.add_mask(run.mask)
-            shown.append({**about, "images": images})
+            shown.append({**about, "images": images, "tints": tints})
     if not shown:
         return None
     present = sorted({int(f) for entry in shown for f in entry["images"]})
@@ -163,7 +197,8 @@ def depth_pictures(run: Run, gallery: Gallery) -> dict[str, str] | None:
 
 def hidden_picture(run: Run, gallery: Gallery) -> str | None:
     """Key of the frame on which what was hidden is drawn, None when the run has no such picture."""
-    return None if run.hidden is None or run.record.mask is None else gallery.add(run.hidden)
+    said = run.record.mask is not None or run.record.moving is not None
+    return gallery.add(run.hidden) if said else None
 
 
 def novel_pictures(run: Run, gallery: Gallery) -> list[tuple[str, str | None, int]]:

@@ -110,7 +110,7 @@ def place_section(
         if keys and run.depth is not None:
             depths.append({"label": label, "about": run.depth, **keys})
     masks = [
-        {"label": label, "about": run.record.mask, "picture": picture}
+        {"label": label, "about": run.record.mask, "moving": run.record.moving, "picture": picture}
         for run, label in zip(runs, labels)
         if (picture := hidden_picture(run, gallery))
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,14 @@ from panobench.bench.views import ChosenFrames, FrameReader
 from panobench.cameras.erp import ErpCamera
 from panobench.cli.run import summary
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.images import write_image
+from panobench.datasets.images import read_image, write_image
 from panobench.errors import DatasetError, UnknownNameError, UsageError
 from panobench.masks.base import MaskEstimate, MaskEstimator
 from panobench.masks.files import read_mask_file
 from panobench.plugins import Registered, registry
 from panobench.specs import MaskSpec, MethodSpec
 from panobench.testing import TinySequence, erp_camera
+from panobench.types import Estimate
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
 LOWER = np.arange(64)[:, None].repeat(128, axis=1) >= 48
@@ -175,3 +177,48 @@ def test_masks_of_single_frames_reach_who_honours_them_and_are_joined_for_others
     assert frame.mask is one
     assert not frame.image[~one].any()
     assert frame.image[one & ~LOWER].any()
+
+
+class Walker(MaskEstimator):
+    """Hides some columns of the third frame besides the lowest quarter of all."""
+
+    visible = np.arange(128)[None, :].repeat(64, axis=0) >= 16
+
+    def estimate(self, sequence: FrameSequence, seed: int = 0) -> MaskEstimate:
+        return MaskEstimate(~LOWER, {2: self.visible})
+
+
+def test_masks_of_single_frames_and_what_a_method_left_out_are_stored_and_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from fake_plugin import Still
+
+    moving = np.arange(128)[None, :].repeat(64, axis=0) < 96
+    finish = Still.finish
+
+    def with_moving(self: Still) -> Estimate:
+        estimate = finish(self)
+        estimate.moving = {2: moving}
+        return estimate
+
+    monkeypatch.setattr(masking, "Walker", Walker, raising=False)
+    monkeypatch.setattr(Still, "finish", with_moving)
+    spec = MaskSpec("walker", "for tests", "panobench.bench.masking:Walker")
+    monkeypatch.setitem(registry().entries["mask"], "walker", Registered(spec, "test"))
+    still = registry().entries["method"]["fake-still"]
+    honours = Registered(replace(still.spec, frame_masks=True), still.origin)
+    monkeypatch.setitem(registry().entries["method"], "fake-still", honours)
+    folder, record = run(tmp_path, "walker", max_frames=4)
+    assert record.mask is not None
+    assert record.mask.frames == 1
+    assert [p.name for p in (folder / "masks").iterdir()] == ["000002.png"]
+    assert np.array_equal(read_mask_file(folder / "masks" / "000002.png", (128, 64)).valid, Walker.visible)
+    assert np.array_equal(read_mask_file(folder / "moving" / "000002.png", (128, 64)).valid, moving)
+    assert record.moving is not None
+    assert (record.moving.frames, record.moving.mean) == (1, pytest.approx(0.25, abs=1e-3))
+    drawn = read_image(folder / "renders" / "hidden.jpg").astype(int)
+    red, green, blue = (drawn[..., k] for k in range(3))
+    assert (red - green)[50:, 20:90].mean() > 60  # hidden in all frames
+    assert (red - green)[5:40, 2:14].mean() > 60  # hidden in this one
+    assert (red - blue)[5:40, 100:].mean() > 60  # left out by the method: red and green
+    assert (red - green)[5:40, 100:].mean() < 60

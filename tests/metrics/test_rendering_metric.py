@@ -133,3 +133,23 @@ def test_cut_of_a_pinhole_needs_an_overlap() -> None:
 
     with pytest.raises(UnsupportedError, match="sees nothing"):
         PerspectiveCut(PinholeCamera.from_fov(96, 60.0, 40.0), paper_views(96)[1])
+
+
+class WithSomebody(TinySequence):
+    """Somebody black stands to the left in all frames, and is known to."""
+
+    hidden = np.arange(128)[None, :].repeat(64, axis=0) < 24
+
+    def image(self, index: int) -> np.ndarray:
+        return np.where(self.hidden[..., None], 0, super().image(index)).astype(np.uint8)
+
+    def frame_mask(self, index: int) -> np.ndarray:
+        return ~self.hidden
+
+
+def test_what_masks_of_single_frames_hide_counts_in_no_score() -> None:
+    values = rendering_metrics(_input(WithSomebody(ErpCamera(128, 64), n=4, seed=1)))
+    bare = rendering_metrics(_input(TinySequence(ErpCamera(128, 64), n=4, seed=1)))
+    for name in ("pano_psnr_db", "ws_psnr_db", "psnr_db"):
+        assert values[name] > 50
+    assert values["direct_psnr_db"] == pytest.approx(bare["direct_psnr_db"], abs=2.0)

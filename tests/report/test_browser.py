@@ -318,3 +318,28 @@ def test_what_a_mask_hides_is_black_in_the_difference(browser, make_run, tmp_pat
     alpha += "x.drawImage(i, 0, 0); "
     alpha += "return [0.1, 0.9].map(y => x.getImageData(5, y * c.height, 1, 1).data[3]); })()"
     assert browser.evaluate(alpha) == [0, 255]
+
+
+def test_what_was_left_out_of_a_frame_is_tinted_on_it_and_not_on_its_render(browser, make_run, tmp_path):
+    folder = make_run("moving", pictures=1)
+    seen = np.full((64, 128), 255, np.uint8)
+    seen[:, 64:] = 0
+    frame = next((folder / "renders").glob("??????.jpg")).stem
+    (folder / "moving").mkdir()
+    cv2.imwrite(str(folder / "moving" / f"{frame}.png"), seen)
+    write_report([folder], tmp_path / "moving.html")
+    browser.open(tmp_path / "moving.html")
+    browser.evaluate("document.querySelector('.pano').scrollIntoView()")
+    browser.wait("document.querySelector('.pano[data-started]')")
+    browser.wait("document.querySelector('img.tint').naturalWidth > 0")
+    for mode, shown in (("truth", True), ("render", False), ("difference", False), ("compare", True)):
+        browser.evaluate(f"document.querySelector('[data-mode={mode}]').click()")
+        assert browser.evaluate("!document.querySelector('img.tint').hidden") == shown
+    pixel = "(() => { const c = document.createElement('canvas'), i = document.querySelector('img.tint'); "
+    pixel += "c.width = i.naturalWidth; c.height = i.naturalHeight; const x = c.getContext('2d'); "
+    pixel += "x.drawImage(i, 0, 0); "
+    pixel += "return [0.1, 0.9].map(u => [...x.getImageData(u * c.width, 5, 1, 1).data]); })()"
+    left, right = browser.evaluate(pixel)
+    assert left[3] == 0
+    assert right[0] > right[2] + 100
+    assert right[3] > 100

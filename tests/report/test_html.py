@@ -218,6 +218,27 @@ def test_what_was_hidden_from_a_method_is_drawn_and_said(make_run, edit, tmp_pat
     assert len(data_of(text)["images"]) == 1
 
 
+def test_what_a_method_left_out_is_said_without_a_mask_too(make_run, edit, tmp_path):
+    folder = make_run("run", pictures=0, depth=False)
+    (folder / "renders").mkdir(exist_ok=True)
+    cv2.imwrite(str(folder / "renders" / "hidden.jpg"), np.full((32, 64, 3), 90, np.uint8))
+    edit(folder, lambda d: d.update(moving={"frames": 7, "mean": 0.05, "most": 0.125}))
+    text = page([folder], tmp_path)
+    assert "left out what moves by itself (yellow) in 7 frames: 5.0% of the view on average, 12.5% at most." in text
+    assert "of the view is hidden (red)" not in text
+
+
+def test_frames_carry_a_tint_where_something_was_hidden_in_them(make_run, tmp_path):
+    folder = make_run("run", pictures=2, depth=False)
+    shown = sorted(int(p.stem) for p in (folder / "renders").glob("??????.jpg"))
+    seen = np.full((64, 128), 255, np.uint8)
+    seen[:, :32] = 0
+    (folder / "moving").mkdir()
+    cv2.imwrite(str(folder / "moving" / f"{shown[0]:06d}.png"), seen)
+    [viewer] = data_of(page([folder], tmp_path))["viewers"].values()
+    assert list(viewer["runs"][0]["tints"]) == [str(shown[0])]
+
+
 def test_maps_and_pages_to_walk_through_them_go_beside_the_page(make_run, tmp_path):
     folder = make_run("a")
     rng = np.random.default_rng(0)

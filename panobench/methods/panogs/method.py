@@ -21,6 +21,7 @@ from panobench.geometry import invert_pose, make_pose
 from panobench.inertial.fusion import Unit
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.maps.saved import SavedMap
+from panobench.masks.frame_masks import FrameMasks
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.config import PanogsConfig
@@ -107,6 +108,7 @@ class PanogsMethod(OnlineMethod):
         self.first_depth: DepthEstimate | None = None
         self.before_first: list[Frame] = []  # frames before the one whose depth the map starts from
         self.numbers: dict[int, dict[str, float]] = {}
+        self.moving = FrameMasks()
         if context.saved_map is not None:
             self._go_on(context.saved_map)
 
@@ -211,6 +213,8 @@ class PanogsMethod(OnlineMethod):
         self.tracker.hidden = hidden = self.mapper.transients.look(frame.image, tracked.render, moved)
         if hidden is not None:
             self._note(frame, contradicts=self.mapper.weights[hidden].sum())
+            if hidden.any():
+                self.moving.put(frame.index, ~hidden)
 
     def _map(self, frame: Frame, tracked: Tracked) -> None:
         """Make the frame a keyframe if it should be one; else the map is trained on it like on others."""
@@ -322,6 +326,7 @@ class PanogsMethod(OnlineMethod):
             frames=self.numbers,
             depth=self.first_depth,
             extra=extra,
+            moving=self.moving,
         )
 
     def _to_metres(self, unit: Unit | None) -> MetricPoses | None:

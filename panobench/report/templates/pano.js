@@ -90,7 +90,7 @@ PB.pano = (() => {
     const stage = figure.querySelector(".stage"), canvas = figure.querySelector("canvas.look");
     const wipe = figure.querySelector(".wipe"), handle = figure.querySelector(".handle");
     const images = { truth: figure.querySelector("img.truth"), render: figure.querySelector("img.render") };
-    const cover = figure.querySelector("img.cover");
+    const cover = figure.querySelector("img.cover"), tint = figure.querySelector("img.tint");
     const caption = figure.querySelector("figcaption");
     const state = { mode: "compare", view: "flat", run: data.start, frame: 0, yaw: 0, pitch: 0, spread: 1.75, ready: false };
 
@@ -102,6 +102,7 @@ PB.pano = (() => {
       canvas.hidden = !looking;
       wipe.hidden = !compare;
       cover.hidden = !(state.mode === "difference" && cover.dataset.key);
+      tint.hidden = !(tint.dataset.key && !looking && (compare || state.mode === "truth"));
       if (!state.ready) return;
       if (looking && stage.clientWidth && stage.clientHeight && context()) {
         const ratio = Math.min(devicePixelRatio || 1, 2);
@@ -135,6 +136,8 @@ PB.pano = (() => {
       images.truth.src = PB.data.images[truth || render];
       cover.dataset.key = run.mask || "";
       if (run.mask) cover.src = PB.data.images[run.mask];
+      tint.dataset.key = run.tints[frame] || "";
+      if (tint.dataset.key) tint.src = PB.data.images[tint.dataset.key];
       images.render.alt = `Render of frame ${frame} by ${run.label}`;
       images.truth.alt = truth ? `Input frame ${frame}` : "";
       caption.textContent = `${run.label}, frame ${frame}. `;
