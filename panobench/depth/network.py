@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.cameras.erp import ErpCamera
-from panobench.cameras.reproject import Reprojector, sample_depth
-from panobench.cameras.views import look_rotation, upright_rotation
+from panobench.cameras.reproject import sample_depth
 from panobench.depth.base import DepthEstimator
 from panobench.depth.network_description import NetworkDescription, description_path, read_description
+from panobench.depth.network_input import NetworkView, normalised
 from panobench.depth.network_model import ONNX_SUFFIXES, NetworkModel, check_loadable, load_model
 from panobench.depth.onnx_file import check_contents, read_contents
 from panobench.errors import InputError, UsageError
@@ -48,7 +46,7 @@ class NetworkDepth(DepthEstimator):
 
     def start(self, camera: Camera, seed: int = 0) -> None:
         """Load the network. Raises InputError, UsageError or UnavailableError if that fails."""
-        self._view = _View(camera, self.description)
+        self._view = _DepthView(camera, self.description)
         self._model: NetworkModel | None = load_model(self.path, self.description)
 
     def add(self, frame: Frame) -> DepthEstimate:
@@ -56,7 +54,7 @@ class NetworkDepth(DepthEstimator):
         if self._model is None:
             self._model = load_model(self.path, self.description)
         d = self.description
-        answer = self._model(_normalised(self._view.network_image(frame.image), d))
+        answer = self._model(normalised(self._view.network_image(frame.image), d))
         self._model = None  # free its memory and threads
         depth = self._view.camera_depth(answer)
         known = np.isfinite(depth)
@@ -99,26 +97,12 @@ def _files(network: Path) -> list[Path]:
     return [network, description_path(network), *beside]
 
 
-class _View:
-    """Reprojects images from a camera to the network's input, and its output back."""
+class _DepthView(NetworkView):
+    """Also turns the network's output into the camera's depth."""
 
     def __init__(self, camera: Camera, d: NetworkDescription) -> None:
-        self.camera, self.d = camera, d
-        self.valid = camera.valid_mask()
-        self.there: Reprojector | None = None
-        self.back: Reprojector | None = None
-        if d.projection == "erp":
-            panorama = ErpCamera(d.width, d.height)
-            R = look_rotation(d.centre_deg) @ upright_rotation(camera)
-            self.there = Reprojector(camera, panorama, R)
-            self.back = Reprojector(panorama, camera, R.T, antialias=False)
-
-    def network_image(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The network's input as an RGB image (height, width, 3)."""
-        if self.there is not None:
-            return np.asarray(self.there.image(image), dtype=np.uint8)
-        black = np.where(self.valid[..., None], image, np.uint8(0))
-        return np.asarray(cv2.resize(black, (self.d.width, self.d.height), interpolation=cv2.INTER_AREA))
+        super().__init__(camera, d)
+        self.d: NetworkDescription = d
 
     def camera_depth(self, answer: F32) -> F32:
         """Output (h, w) -> radial distance at the camera's pixels (H, W), NaN where the output is not usable."""
@@ -139,16 +123,6 @@ class _View:
         depth = (depth * np.float32(self.d.scale)).astype(np.float32)
         depth[~(depth <= self.d.far)] = np.nan
         return depth
-
-
-def _normalised(image: NDArray[np.uint8], d: NetworkDescription) -> F32:
-    """The input tensor, (1, 3, h, w) or (1, h, w, 3) float32 as the description says."""
-    x = image.astype(np.float32) * np.float32(d.range / 255.0)
-    if d.colour == "bgr":
-        x = x[..., ::-1]
-    x = (x - np.array(d.mean, np.float32)) / np.array(d.std, np.float32)
-    x = x.transpose(2, 0, 1) if d.layout == "nchw" else x
-    return np.ascontiguousarray(x[None], dtype=np.float32)
 
 
 def _positive(answer: F32, d: NetworkDescription) -> F32:

@@ -1,4 +1,4 @@
-"""Running a depth network: ONNX through onnxruntime, TorchScript through torch."""
+"""Running a network: ONNX through onnxruntime, TorchScript through torch."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.depth.network_description import NetworkDescription
+from panobench.depth.network_description import NetworkInput
 from panobench.depth.onnx_file import MAX_BYTES, check_contents
 from panobench.errors import InputError, UnavailableError, UsageError
 
@@ -30,15 +30,15 @@ MAX_VALUES = 1 << 26
 class NetworkModel(ABC):
     """A loaded network."""
 
-    def __init__(self, path: Path, description: NetworkDescription) -> None:
+    def __init__(self, path: Path, description: NetworkInput) -> None:
         self.path, self.description = path, description
 
     @abstractmethod
     def outputs(self, tensor: F32) -> dict[str | int, Any]:
         """All outputs for one input, by position, and by name if they have one."""
 
-    def __call__(self, tensor: F32) -> F32:
-        """The depth output (h, w) in the network's own unit. Raises InputError if it has another shape."""
+    def output(self, tensor: F32) -> NDArray[Any]:
+        """The output that counts, without axes of length 1. Raises InputError where there is none, or no numbers."""
         wanted = self.description.output
         try:
             outputs = self.outputs(tensor)
@@ -50,21 +50,32 @@ class NetworkModel(ABC):
         answer = np.asarray(outputs[wanted])
         if answer.size > MAX_VALUES or answer.dtype.kind not in "fiu":
             raise InputError(
-                f"output '{wanted}' has {answer.size} values of type {answer.dtype}: no depth map", self.path
+                f"output '{wanted}' has {answer.size} values of type {answer.dtype}: no picture", self.path
             )
-        squeezed = answer.reshape([n for n in answer.shape if n != 1])
-        if squeezed.ndim != 2:
-            raise InputError(f"output '{wanted}' has shape {answer.shape}; one value a pixel is needed", self.path)
-        h, w = squeezed.shape
+        return answer.reshape([n for n in answer.shape if n != 1])
+
+    def __call__(self, tensor: F32) -> F32:
+        """The output (h, w), one value per pixel in the network's own unit. Raises InputError for another shape."""
+        answer = self.output(tensor)
+        if answer.ndim != 2:
+            raise InputError(
+                f"output '{self.description.output}' has shape {answer.shape}; one value a pixel is needed", self.path
+            )
+        self.check_aspect(answer)
+        return np.ascontiguousarray(answer, dtype=np.float32)
+
+    def check_aspect(self, answer: NDArray[Any]) -> None:
+        """Raises InputError where an output (h, w) has not the input's proportions."""
+        h, w = answer.shape
         if abs(w * self.description.height - h * self.description.width) > max(h, w):
+            wanted = self.description.output
             raise InputError(f"output '{wanted}' is {w}x{h}, another aspect ratio than the input's", self.path)
-        return np.ascontiguousarray(squeezed, dtype=np.float32)
 
 
 class OnnxModel(NetworkModel):
     """ONNX on the CPU, without custom operators and without files from outside the network's folder."""
 
-    def __init__(self, path: Path, description: NetworkDescription) -> None:
+    def __init__(self, path: Path, description: NetworkInput) -> None:
         super().__init__(path, description)
         check_contents(path)
         import onnxruntime
@@ -101,7 +112,7 @@ class OnnxModel(NetworkModel):
 class TorchScriptModel(NetworkModel):
     """A TorchScript archive. Loading it runs a program, so the user has to say that it is trusted."""
 
-    def __init__(self, path: Path, description: NetworkDescription) -> None:
+    def __init__(self, path: Path, description: NetworkInput) -> None:
         super().__init__(path, description)
         _check_archive(path)
         import torch
@@ -123,7 +134,7 @@ class TorchScriptModel(NetworkModel):
         return {k: v.float().numpy() for k, v in found.items() if isinstance(v, torch.Tensor)}
 
 
-def load_model(path: Path, description: NetworkDescription) -> NetworkModel:
+def load_model(path: Path, description: NetworkInput) -> NetworkModel:
     """Load a network by its suffix. Raises InputError, UsageError (untrusted TorchScript) or UnavailableError."""
     check_loadable(path)
     return (OnnxModel if path.suffix.lower() in ONNX_SUFFIXES else TorchScriptModel)(path, description)
@@ -163,7 +174,7 @@ def worker_threads() -> int:
 _INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 
 
-def _check_shape(shape: list[Any], description: NetworkDescription, path: Path) -> None:
+def _check_shape(shape: list[Any], description: NetworkInput, path: Path) -> None:
     expected = description.input_shape
     fits = len(shape) == 4 and all(not isinstance(n, int) or n < 1 or n == m for n, m in zip(shape, expected))
     if not fits:

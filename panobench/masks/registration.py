@@ -8,4 +8,11 @@ MASK_ESTIMATORS: tuple[MaskSpec, ...] = (
         "what does not move as the rigid scene does while the camera moves; no weights",
         "panobench.masks.geometry:GeometryMask",
     ),
+    MaskSpec(
+        "network",
+        "an ONNX or TorchScript segmentation network with a YAML description beside it",
+        "panobench.masks.network:NetworkMask",
+        argument="FILE",
+        files="panobench.masks.network:network_files",
+    ),
 )
