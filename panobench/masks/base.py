@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ class MaskEstimate:
     """
 
     valid: NDArray[np.bool_]
-    frames: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
+    frames: Mapping[int, NDArray[np.bool_]] = field(default_factory=dict)
     ok: bool = True
     message: str = ""
     details: dict[str, Any] = field(default_factory=dict)

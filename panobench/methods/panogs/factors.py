@@ -6,7 +6,7 @@ that are compared with one another, each reference with those up to a second bef
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -29,6 +29,19 @@ BUNDLE = {
     ViewWidth.WIDE: BundleOptions(cell_px=6, iterations=4, cut=5.0, trim=0.6, near=12),
     ViewWidth.NARROW: BundleOptions(cell_px=8, iterations=5, cut=5.0),
 }
+#: Cells are not smaller than this where part of a wide view is hidden, pixels.
+SMALLEST_CELL = 3
+
+
+def bundle_options(scale: WorkingScale, width: ViewWidth) -> BundleOptions:
+    """Options of the factors of a camera's view: smaller cells, by the share that is seen, where a mask hides part of
+    a wide view. What is left determines poses worse than its share of the pixels tells.
+    """
+    options = BUNDLE[width]
+    if width is not ViewWidth.WIDE:
+        return options
+    seen = float(scale.valid.sum()) / max(float(scale.camera.with_mask(None).valid_mask().sum()), 1.0)
+    return replace(options, cell_px=max(int(options.cell_px * seen), SMALLEST_CELL))
 
 
 @dataclass
@@ -52,7 +65,7 @@ class FactorGraph:
         rig_scale: RigScale | None = None,
     ) -> None:
         self.scale, self.options, self.revisits, self.rig_scale = scale, options, revisits, rig_scale
-        self.bundle_options = BUNDLE[width]
+        self.bundle_options = bundle_options(scale, width)
         self.frames: list[_Frame] = []
         self.factors: list[BundleFactor] = []
         self.changed = False  # a factor has come since the last optimisation

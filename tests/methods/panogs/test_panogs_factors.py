@@ -12,7 +12,7 @@ from panobench.cameras.erp import ErpCamera
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs.config import FactorOptions
-from panobench.methods.panogs.factors import FactorGraph
+from panobench.methods.panogs.factors import FactorGraph, bundle_options
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
@@ -152,3 +152,16 @@ def test_frames_tracked_backwards_and_those_after_them_share_factors() -> None:
     fit = g.optimise(trajectory, 2.0)
     after = np.stack([fit.poses[i] for i in range(FRAMES)])
     assert misfit(after, T_wc) < 0.4 * misfit(np.stack(start), T_wc)
+
+
+def test_cells_are_smaller_where_a_mask_hides_part_of_a_wide_view() -> None:
+    def cell(camera: ErpCamera, width: ViewWidth = ViewWidth.WIDE) -> int:
+        return bundle_options(WorkingScale.of(camera, 128), width).cell_px
+
+    whole, mask = ErpCamera(256, 128), np.ones((128, 256), bool)
+    assert cell(whole) == cell(ErpCamera(256, 128, 140.0)) == 6  # the camera's own limit is no mask
+    for rows, pixels in ((8, 5), (40, 4), (60, 3), (100, 3)):
+        hiding = mask.copy()
+        hiding[128 - rows :] = False
+        assert cell(whole.with_mask(hiding)) == pixels
+        assert cell(whole.with_mask(hiding), ViewWidth.NARROW) == 8
