@@ -8,7 +8,6 @@ import pytest
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.row_times import rates_along, row_times
 from panobench.geometry import invert_pose, make_pose, so3_exp
-from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
 from panobench.methods.sparse.pose import pose_errors
 from panobench.methods.sparse.rolling_shutter import RowBearings, estimate_readout
@@ -56,7 +55,7 @@ def test_the_readout_is_found_with_the_poses_and_a_global_shutter_has_none(reado
     before = m.position.copy()
     rows = RowBearings(CAMERA, m, records)
     rows.follow(np.stack([invert_pose(k.T_cw) for k in m.keyframes]))
-    found = estimate_readout(rows, m, SparseConfig(), FOCAL)
+    found = estimate_readout(rows, m, FOCAL)
     assert 1e3 * found.best_s == pytest.approx(readout_ms, abs=0.5)
     assert found.seconds == (0.0 if readout_ms == 0 else found.best_s)
     np.testing.assert_array_equal(m.position, before)
@@ -80,5 +79,5 @@ def test_a_camera_that_hardly_turns_says_nothing() -> None:
     m, records = world(0.015)
     rows = RowBearings(CAMERA, m, records)
     rows.follow(np.tile(np.eye(4), (len(TIMES), 1, 1)))
-    assert estimate_readout(rows, m, SparseConfig(), FOCAL).seconds == 0
+    assert estimate_readout(rows, m, FOCAL).seconds == 0
     assert np.abs(rates_along(TIMES, np.tile(np.eye(4), (len(TIMES), 1, 1)))).max() == 0

@@ -58,7 +58,7 @@ def correct_shutter(
     m = session.map
     rows = RowBearings(camera, m, session.records, rig)
     rows.follow(poses())
-    readout = estimate_readout(rows, m, config, focal) if given is None else Readout(1e-3 * given)
+    readout = estimate_readout(rows, m, focal) if given is None else Readout(1e-3 * given)
     if given is None and readout.best_s:
         log(
             f"readout {1e3 * readout.best_s:.1f} ms explains {readout.gain:.1%} more: "

@@ -18,7 +18,6 @@ from panobench.cameras.base import Camera
 from panobench.cameras.rig import Rig
 from panobench.cameras.row_times import rates_along, rig_row_times, rotated, row_times, velocities_along
 from panobench.methods.sparse.bundle import bundle_adjust
-from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
 
 Array = NDArray[np.float64]
@@ -26,9 +25,11 @@ Array = NDArray[np.float64]
 #: Readouts that are looked for, seconds; a negative one reads the rows upwards.
 BOUNDS = (-0.04, 0.04)
 #: The readout is taken for none unless it moves bearings by this in the root mean square, pixels ...
-LEAST_PX = 0.1
+LEAST_PX = 0.05
 #: ... lowers the cost by this share, and is at least this long, seconds.
-LEAST_GAIN, LEAST_S = 0.06, 0.002
+LEAST_GAIN, LEAST_S = 0.01, 0.002
+#: Residual from which the cost is linear, pixels: patches that are aligned wrongly would shorten the readout.
+HUBER_PX = 0.15
 #: So many keyframes in a row, those of the fastest rotation, are enough to tell.
 MOST_KEYFRAMES = 40
 
@@ -95,7 +96,7 @@ class RowBearings:
         return rig_row_times(self.rig, bearings) if self.rig else row_times(self.camera, bearings[:, None])[:, 0]
 
 
-def estimate_readout(rows: RowBearings, m: PointMap, config: SparseConfig, focal: float) -> Readout:
+def estimate_readout(rows: RowBearings, m: PointMap, focal: float) -> Readout:
     """The readout at which a bundle adjustment of the keyframes costs least; nothing in the map is changed.
 
     A global shutter has its minimum near 0. One elsewhere counts only if it explains plainly more: distortions of a
@@ -116,7 +117,7 @@ def estimate_readout(rows: RowBearings, m: PointMap, config: SparseConfig, focal
     def cost(readout_s: float) -> float:
         b = np.concatenate([rows.of_keyframe(m.keyframes[k], readout_s)[use] for k, use in used])
         o = np.concatenate([rows.origins(m.keyframes[k], readout_s)[use] for k, use in used])
-        return bundle_adjust(T, m.position[ids], frames, points, b, fixed, focal, config.huber_px, 15, o).cost
+        return bundle_adjust(T, m.position[ids], frames, points, b, fixed, focal, HUBER_PX, 15, o).cost
 
     found = minimize_scalar(cost, bounds=BOUNDS, method="bounded", options={"xatol": 2e-4, "maxiter": 14})
     best, gain = float(found.x), 1.0 - float(found.fun) / max(cost(0.0), 1e-12)
