@@ -102,14 +102,19 @@ def _of_one_camera(images: list[Path], name: str) -> tuple[list[Path], list[str]
     return cameras[chosen], [f"the folder has images of {len(cameras)} cameras ({listed}); these are of {chosen}"]
 
 
-def image_folders(root: Path, levels: int = 4) -> dict[str, Path]:
-    """Sequence name -> folder with images: ``root`` itself, its ``images``, or folders below.
+def image_folders(root: Path) -> dict[str, Path]:
+    """Sequence name -> folder with images: ``root`` itself, its ``images``, or folders below; the deeper ones only
+    where there are none nearer.
 
     Folders of depth maps, masks and thumbnails are none if there are others.
     """
-    found = _image_folders(root, levels)
-    frames = {name: folder for name, folder in found.items() if folder.name.lower() not in _NOT_FRAMES}
-    return frames or found
+    found: dict[str, Path] = {}
+    for levels in (2, 4):
+        found = _image_folders(root, levels)
+        frames = {name: folder for name, folder in found.items() if folder.name.lower() not in _NOT_FRAMES}
+        if frames:
+            return frames
+    return found
 
 
 def _image_folders(root: Path, levels: int) -> dict[str, Path]:
