@@ -22,6 +22,9 @@ from panobench.types import Imu
 
 Array = NDArray[np.float64]
 
+#: A loop that corrects the camera's rotation by more than this contradicts the gyroscope, which drifts by less.
+LOOP_TURN_DEG = 3.0
+
 
 class InertialStage:
     """One per run. warn: one line for the user; log: one line for the run's log. pose_of: see ``Predictor``.
@@ -54,6 +57,10 @@ class InertialStage:
     def knows_scale(self) -> bool:
         """Whether the IMU has told the map's scale by now."""
         return self.predictor is not None and self.predictor.initial is not None
+
+    def refuses_turn(self, degrees: float) -> bool:
+        """Whether a loop that turns the camera by so much cannot be one: the gyroscope knows which way it looks."""
+        return self.knows_scale and degrees > LOOP_TURN_DEG
 
     def saw(self, index: int, time_s: float) -> None:
         """A frame was given, whether it gets a pose or not."""

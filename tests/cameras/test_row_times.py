@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.cameras.row_times import rates_along, rotated, row_times
+from panobench.cameras.rig import Rig
+from panobench.cameras.row_times import rates_along, rig_row_times, rotated, row_times
 from panobench.geometry import make_pose, so3_exp
+from panobench.testing import two_lenses
 
 T = np.cumsum([0.0, 0.1, 0.05, 0.1, 0.2])
 
@@ -39,3 +43,21 @@ def test_rows_of_a_panorama_run_down_both_lenses_and_those_of_other_cameras_are_
     own = row_times(camera, camera.rays())
     assert own[0, 0] == pytest.approx(0.5 / camera.height - 0.5)
     assert own[-1, -1] == pytest.approx(0.5 - 0.5 / camera.height)
+
+
+def test_rows_of_a_rig_are_those_of_the_lens_that_sees() -> None:
+    rig = two_lenses(96)
+    turned = replace(
+        rig.lenses[1], T_rig_lens=rig.lenses[1].T_rig_lens @ make_pose(so3_exp([0, 0, np.pi]), np.zeros(3))
+    )
+    rig = Rig((replace(rig.lenses[0], readout_s=0.02), replace(turned, readout_s=0.01)))
+    up = np.array([[0.0, -0.6, 0.8], [0.0, -0.6, -0.8], [0.0, 0.0, 1.0]])
+    rows = rig_row_times(rig, up)
+    assert rig.readout_s == 0.02
+    assert -0.5 < rows[0] < -0.1  # the upper rows come first
+    assert rows[1] == pytest.approx(-0.5 * rows[0], rel=1e-6)  # upside down, and in half the time
+    assert rows[2] == pytest.approx(0, abs=0.01)
+    plain = ErpCamera(64, 32)
+    whole = rig_row_times(two_lenses(96), plain.rays().reshape(-1, 3)).reshape(32, 64)
+    np.testing.assert_allclose(whole, row_times(plain, plain.rays()), atol=0.02)
+    assert two_lenses(96).readout_s is None

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from inertial_walks import record, seen, walk
 
-from panobench.inertial.stage import InertialStage
+from panobench.inertial.fusion import Unit
+from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.types import Imu
 
 
@@ -63,3 +64,31 @@ def test_frames_that_vision_lost_get_a_pose_and_the_others_keep_theirs() -> None
     assert metric.scale * 0.37 == pytest.approx(1, abs=0.02)
     assert len(said) == 1
     assert "15 frames without a visual pose bridged" in said[0]
+
+
+def test_two_scales_are_weighted_by_their_variances_and_a_contradiction_is_said() -> None:
+    pytest.importorskip("gtsam")
+    recording = record(walk(12.0), 12.0, rate_hz=200.0)
+    visual = seen(recording)
+
+    def finished(unit: Unit | None) -> tuple[MetricPoses, dict[str, float], list[str]]:
+        said: list[str] = []
+        ready = stage(recording.imu, said)
+        for index, time in enumerate(recording.times):
+            ready.saw(index, float(time))
+        metric = ready.finish([dict(enumerate(visual.T_wc))], unit)
+        assert metric is not None
+        return metric, ready.numbers, said
+
+    alone, numbers, _ = finished(None)
+    sigma = numbers["scale_sigma"]
+    other = Unit(alone.scale * float(np.exp(sigma)), sigma)
+    both, fused, said = finished(other)
+    assert both.scale == pytest.approx(alone.scale * np.exp(sigma / 2), rel=1e-9)
+    assert fused["scale_sigma"] == pytest.approx(sigma / np.sqrt(2))
+    assert fused["scale_by_imu"] == pytest.approx(alone.scale)
+    grown = both.poses[50][:3, 3] / alone.poses[50][:3, 3]
+    np.testing.assert_allclose(grown, both.scale / alone.scale, rtol=1e-9)
+    assert not any("apart" in line for line in said)
+    _, _, said = finished(Unit(1.2 * alone.scale, 0.001))
+    assert any("tell scales that are" in line for line in said)

@@ -39,11 +39,11 @@ class RigScale:
     def add(self, index: int, units: tuple[float, float], frames: int) -> None:
         """The units in a metre with their deviation, as a bundle over so many frames has them.
 
-        All measurements of a pixel share the error of the reference: there are as many independent ones as pixels.
+        Half of a residual's variance is that of the reference's pixel, which all frames share.
         """
         mean, sigma = units
         if np.isfinite(sigma) and sigma > 0:
-            self.measured[index] = (mean, sigma * float(np.sqrt(frames)))
+            self.measured[index] = (mean, sigma * float(np.sqrt((1 + frames) / 2)))
             self.lenses.units_per_metre = max(self._mean(), 0.0)
 
     def _mean(self) -> float:

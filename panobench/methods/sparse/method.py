@@ -50,8 +50,6 @@ Array = NDArray[np.float64]
 YOUNG_MAP = 6
 #: Least number of keyframes between two loop closures.
 LOOP_INTERVAL = 8
-#: With an IMU, which knows the camera's rotation, a loop that corrects it by more than this is not closed.
-LOOP_TURN_DEG = 3.0
 #: Face sizes are multiples of 2^(MAX_LEVELS - 1).
 MAX_LEVELS = 5
 
@@ -255,7 +253,7 @@ class SparseMethod(OnlineMethod):
         if loop is None:
             return
         turned = float(np.degrees(np.linalg.norm(so3_log(loop.correction.R))))
-        if self.inertial.knows_scale and turned > LOOP_TURN_DEG:
+        if self.inertial.refuses_turn(turned):
             self.context.log(f"frame {key.frame}: a loop that turns the camera by {turned:.1f} degrees is refused")
             return
         scales = close_loop(m, loop, session.records, self.face_set.focal)
