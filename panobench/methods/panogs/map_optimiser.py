@@ -163,7 +163,7 @@ class MapOptimiser:
         opaque = 0.5 if self.config.fixed_lag.sweep else None
         weights = self.weights if view.visible is None else self.weights * view.visible
         if self.transients.active:
-            weights = weights * ~self.transients.contradicted(view.image, render)
+            weights = weights * ~self.transients.contradicted(view.image, render, view.visible)
         target = Target(view.image, weights, view.gain, view.offset, self.config.rendering.knee, opaque)
         isotropy = o.isotropy / max(3 * render.drawn, 1)
         sizes = (SMALLEST * z, self.config.density.largest * z)

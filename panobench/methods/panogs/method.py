@@ -210,7 +210,7 @@ class PanogsMethod(OnlineMethod):
             self.graph.add(frame.index, buffered.fine)
         self.lag.votes.add(frame)
         moved = partial(self.lag.votes.moved, tracked.T_wc, tracked.render, frame.image)
-        self.tracker.hidden = hidden = self.mapper.transients.look(frame.image, tracked.render, moved)
+        self.tracker.hidden = hidden = self.mapper.transients.look(frame.image, tracked.render, moved, frame.mask)
         if hidden is not None:
             self._note(frame, contradicts=self.mapper.weights[hidden].sum())
             if hidden.any():

@@ -50,23 +50,30 @@ class Transients:
         self._pad = self.weights.shape[1] // 16 if self.wrap else 0
         self._side = max(self.weights.shape[1] // _NARROWEST, 3)
 
-    def look(self, image: NDArray[np.uint8], render: Render, moved: Callable[[Mask], float]) -> Mask | None:
+    def look(
+        self,
+        image: NDArray[np.uint8],
+        render: Render,
+        moved: Callable[[Mask], float],
+        visible: Mask | None = None,
+    ) -> Mask | None:
         """(H, W): where a frame (H, W, 3) contradicts a render at its pose; None where nothing has moved so far.
 
-        moved: which share of the view in a mask (H, W) has changed, and was not drawn wrong all along.
+        moved: which share of the view in a mask (H, W) has changed, and was not drawn wrong all along. visible (H, W):
+        where the frame shows the scene; None: everywhere.
         """
         if not self.active and self.share < 1:
-            core = self._unpadded(self._core(self._error(image, render), render) > 0)
+            core = self._unpadded(self._core(self._error(image, render), render, visible) > 0)
             changed = float(self.weights[core].sum()) > self.share and moved(core) > self.share
             self.changed_for = self.changed_for + 1 if changed else 0
             self.active = self.changed_for >= _FRAMES
-        return self.contradicted(image, render) if self.active else None
+        return self.contradicted(image, render, visible) if self.active else None
 
-    def contradicted(self, image: NDArray[np.uint8], render: Render) -> Mask:
-        """(H, W): areas where image (H, W, 3) and render differ, a little widened."""
+    def contradicted(self, image: NDArray[np.uint8], render: Render, visible: Mask | None = None) -> Mask:
+        """(H, W): areas where image (H, W, 3) and render differ, a little widened; ``visible`` as in ``look``."""
         error = self._error(image, render)
         # What hides the scene has its colour here and there.
-        core = cv2.morphologyEx(self._core(error, render), cv2.MORPH_CLOSE, _square(2 * self._side + 1))
+        core = cv2.morphologyEx(self._core(error, render, visible), cv2.MORPH_CLOSE, _square(2 * self._side + 1))
         near = (cv2.dilate(core, _square(self._side + 2 * _WIDEN)) > 0) & (error > _FAINT * self.error)
         found = (near | (core > 0)).astype(np.uint8)
         return self._unpadded(cv2.dilate(found, _square(2 * _WIDEN + 1)) > 0)
@@ -75,10 +82,12 @@ class Transients:
         """Padded: mean colour error around each pixel."""
         return np.asarray(cv2.blur(self._padded(np.asarray(colour_error(render.planes, image))), (_BLUR, _BLUR)))
 
-    def _core(self, error: F32, render: Render) -> NDArray[np.uint8]:
+    def _core(self, error: F32, render: Render, visible: Mask | None) -> NDArray[np.uint8]:
         """Padded: where squares of the least width fit into what the map knows and draws wrong."""
-        known = self._padded(((render.opacity > _KNOWN) & (self.weights > 0)).astype(np.uint8))
-        wrong = (error > self.error).astype(np.uint8) & known
+        known = (render.opacity > _KNOWN) & (self.weights > 0)
+        if visible is not None:  # what a frame's mask hides is black, and contradicts nothing
+            known &= visible
+        wrong = (error > self.error).astype(np.uint8) & self._padded(known.astype(np.uint8))
         return np.asarray(cv2.morphologyEx(wrong, cv2.MORPH_OPEN, _square(self._side)), dtype=np.uint8)
 
     def _padded(self, image: NDArray) -> NDArray:

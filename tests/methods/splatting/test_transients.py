@@ -63,3 +63,16 @@ def test_nothing_is_left_out_until_enough_has_moved(size: int, changed: float, a
         assert subject.look(image, render(), lambda where: changed) is None
     found = subject.look(image, render(), lambda where: changed)
     assert (found is not None) == active == subject.active
+
+
+def test_what_a_mask_hides_contradicts_nothing() -> None:
+    image = frame(slice(20, 70), list(range(60, 130)), grey=0)
+    visible = image[..., 0] > 0
+    assert not transients().contradicted(image, render(), visible).any()
+    subject = transients(share=0.02)
+    assert [subject.look(image, render(), lambda where: 1.0, visible) for _ in range(6)] == [None] * 6
+    assert not subject.active
+    image[40:60, 140:160] = 230
+    found = transients().contradicted(image, render(), visible)
+    assert found[40:60, 140:160].all()
+    assert not found[:, 60:125].any()
