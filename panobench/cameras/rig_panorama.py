@@ -60,12 +60,13 @@ class RigPanorama(ErpCamera):
     """
 
     lenses: LensCentres | None = None
+    rig: Rig | None = None
 
     @classmethod
     def of(cls, rig: Rig, camera: ErpCamera, lenses: LensCentres | None = None) -> RigPanorama:
         """Of the panorama ``camera``, whose axes are the rig's, and with the pixels that it hides hidden."""
         lenses = lenses or LensCentres.of(rig)
-        made = cls(camera.width, camera.height, camera.hfov_deg, camera.lat_min_deg, camera.lat_max_deg, lenses)
+        made = cls(camera.width, camera.height, camera.hfov_deg, camera.lat_min_deg, camera.lat_max_deg, lenses, rig)
         seen = np.zeros((camera.height, camera.width), bool)
         for number, lens in enumerate(rig.lenses):
             own = Reprojector(lens.camera, camera, lens.T_rig_lens[:3, :3]).valid
@@ -73,7 +74,7 @@ class RigPanorama(ErpCamera):
         return made.with_mask(camera.valid_mask() & seen & ~made._border())
 
     def _numbers(self) -> dict[str, Any]:
-        return {name: value for name, value in super()._numbers().items() if name != "lenses"}
+        return {name: value for name, value in super()._numbers().items() if name not in ("lenses", "rig")}
 
     @property
     def _centres(self) -> LensCentres:

@@ -6,6 +6,7 @@ import numpy as np
 
 from panobench.cameras.base import Array, Camera
 from panobench.cameras.rig import Rig
+from panobench.cameras.rig_panorama import RigPanorama
 from panobench.geometry import so3_log
 
 #: The circle of a panoramic camera's lens reaches this far from its axis, radians: its rows are read over that angle.
@@ -15,9 +16,11 @@ LENS_REACH = np.deg2rad(95.0)
 def row_times(camera: Camera, rays: Array) -> Array:
     """When the row of each ray (H, W, 3) is read, (H, W) in -1/2..1/2 of the readout.
 
-    A panorama is taken to come from two equidistant fisheye lenses along +z and -z whose rows run down; other cameras
-    have their own rows.
+    A panorama is taken to come from two equidistant fisheye lenses along +z and -z whose rows run down; that of a rig
+    has its lenses' rows, and other cameras have their own.
     """
+    if isinstance(camera, RigPanorama) and camera.rig is not None:
+        return rig_row_times(camera.rig, rays.reshape(-1, 3)).reshape(rays.shape[:2])
     if camera.kind != "erp":
         pixels, _ = camera.project(rays.reshape(-1, 3))
         row = np.clip(pixels[:, 1] / camera.height - 0.5, -0.5, 0.5)

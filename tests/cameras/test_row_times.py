@@ -10,6 +10,7 @@ import pytest
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.rig import Rig
+from panobench.cameras.rig_panorama import RigPanorama
 from panobench.cameras.row_times import rates_along, rig_row_times, rotated, row_times
 from panobench.geometry import make_pose, so3_exp
 from panobench.testing import two_lenses
@@ -61,3 +62,7 @@ def test_rows_of_a_rig_are_those_of_the_lens_that_sees() -> None:
     whole = rig_row_times(two_lenses(96), plain.rays().reshape(-1, 3)).reshape(32, 64)
     np.testing.assert_allclose(whole, row_times(plain, plain.rays()), atol=0.02)
     assert two_lenses(96).readout_s is None
+    panorama = RigPanorama.of(rig, plain)
+    np.testing.assert_array_equal(
+        row_times(panorama, plain.rays()).ravel(), rig_row_times(rig, plain.rays().reshape(-1, 3))
+    )

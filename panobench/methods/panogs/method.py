@@ -94,7 +94,8 @@ class PanogsMethod(OnlineMethod):
         self.relocaliser = Relocaliser(self.tracker, self.places, c.relocalisation)
         self.mapper = Mapper(camera, renderer, c, self.trajectory, context.seed)
         self.tracker.transients = self.mapper.transients
-        self.shutter, self.seam = RollingShutter(camera, c.rolling_shutter), Seam(camera, c.stitch)
+        rows = self.rig.rolling_shutter(c.rolling_shutter) if self.rig else c.rolling_shutter
+        self.shutter, self.seam = RollingShutter(camera, rows), Seam(camera, c.stitch)
         self.rectifier = Rectifier(camera, self.shutter, self.seam)
         self.exposure = ExposureMatcher(self.mapper.weights, width, c.exposure)
         self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)

@@ -12,6 +12,7 @@ from panobench.cameras.rig import Rig
 from panobench.cameras.rig_panorama import LensCentres, LensPictures, RigPanorama
 from panobench.inertial.fusion import Unit
 from panobench.methods.base import MethodContext
+from panobench.methods.panogs.config import RollingShutterOptions
 from panobench.methods.panogs.rig_scale import RigScale
 from panobench.types import Frame
 
@@ -35,6 +36,11 @@ class RigFrames:
     def frame(self, frame: Frame) -> Frame:
         """The frame with the lenses' pictures in place of the stitched one."""
         return replace(frame, image=self._pictures.image(frame.lenses))
+
+    def rolling_shutter(self, options: RollingShutterOptions) -> RollingShutterOptions:
+        """With the readout that the rig's calibration states, where none is given."""
+        stated = self.camera.rig.readout_s if self.camera.rig else None
+        return options if options.readout_ms != 0 or not stated else replace(options, readout_ms=1e3 * stated)
 
     def unit(self, pixel_angle: float, scene_depth: float) -> Unit | None:
         """The map's unit in metres, if the lenses' distance tells it; arguments as for ``RigScale.sigma``."""

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from panobench.cameras.erp import ErpCamera
+from panobench.cameras.rig import Rig
 from panobench.cameras.rig_panorama import LensCentres
 from panobench.cameras.stitching import Stitcher
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.geometry import make_pose, so3_exp, umeyama
 from panobench.methods.base import MethodContext
-from panobench.methods.panogs.config import PanogsConfig, RigOptions
+from panobench.methods.panogs.config import PanogsConfig, RigOptions, RollingShutterOptions
 from panobench.methods.panogs.method import PanogsMethod
+from panobench.methods.panogs.rig_frames import RigFrames
 from panobench.methods.panogs.rig_scale import RigScale
 from panobench.testing import TinySequence, erp_camera, two_lenses
 from panobench.types import Estimate, Frame
@@ -87,3 +92,12 @@ def test_measurements_are_weighted_and_their_scatter_counts() -> None:
     scale.add(8, (1.0, 0.02), 1)  # the same frame again replaces the first
     assert lenses.units_per_metre == 1.0
     assert scale.sigma(0.02, 2.0) > 0.03  # 0.02 pixels of bias are a share of a parallax of half a pixel
+
+
+@pytest.mark.parametrize(("stated", "given", "used"), [(None, 0.0, 0.0), (0.02, 0.0, 20.0), (0.02, 7.0, 7.0)])
+def test_a_readout_that_the_rig_states_is_used_where_none_is_given(
+    stated: float | None, given: float, used: float
+) -> None:
+    rig = Rig(tuple(replace(lens, readout_s=stated) for lens in RIG.lenses))
+    frames = RigFrames(rig, ErpCamera(128, 64), 6.0, MethodContext())
+    assert frames.rolling_shutter(RollingShutterOptions(readout_ms=given)).readout_ms == used
