@@ -9,6 +9,7 @@ import numpy as np
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.sharpness import Sharpness
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.culling import VisibilityCulling
 from panobench.methods.splatting.trainable_map import TrainableMap
@@ -45,6 +46,7 @@ class MapOptimiser:
         self.weights = pixel_weights(camera, config.rendering.weights)
         m = config.moving
         self.transients = Transients(self.weights, m.error, m.share if m.enabled else 1.0, camera.kind == "erp")
+        self.sharpness = Sharpness(camera, config.mapping.blurred_below)
         self.window: list[View] = []
         self.scene_depth = 1.0
         self._planned: deque[View] = deque()
@@ -85,16 +87,24 @@ class MapOptimiser:
         o, frames = self.options, self.trajectory.frames
         pool = frames if o.random_from == "frames" and frames else self.trajectory.keyframes
         others = [v for v in pool if v not in self.window and v.image.size]
+        shares = np.array([self.sharpness.share(v.index) for v in others])
+        chances = shares / shares.sum() if (shares < 1).any() else None
         out: list[View] = []
         while len(out) < iterations and self.window:
             round_ = [self.window[0]]
             rest = self.window[1:]
             if rest:
                 round_ += [rest[i] for i in self.rng.permutation(len(rest))[:3]]
+            round_ = self._fewer_blurred(round_)
             n = min(o.random_views, len(others))
-            round_ += [others[i] for i in self.rng.choice(len(others), n, replace=False)] if n else []
+            round_ += [others[i] for i in self.rng.choice(len(others), n, replace=False, p=chances)] if n else []
             out += round_
         return out[:iterations]
+
+    def _fewer_blurred(self, views: list[View]) -> list[View]:
+        """``views`` without some of those that are blurred."""
+        shares = [self.sharpness.share(v.index) for v in views]
+        return [v for v, share in zip(views, shares) if share == 1 or self.rng.random() < share]
 
     def finish(self) -> None:
         """The last steps, in one or more rounds.
@@ -140,6 +150,7 @@ class MapOptimiser:
         tracked on the map any more, so discs may leave their plane freely.
         """
         views = self._views() if views is None else views
+        views = self._fewer_blurred(views) or views
         order = [int(i) for _ in range(iterations // max(len(views), 1) + 1) for i in self.rng.permutation(len(views))]
         for k, i in enumerate(order[:iterations]):
             share = self.options.final_rate ** (k / iterations)

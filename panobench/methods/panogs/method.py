@@ -136,7 +136,9 @@ class PanogsMethod(OnlineMethod):
             frame = self.rig.frame(frame)
         if self._is_blank(frame.image):
             self._skip(frame)
-        elif self.phase is Phase.WAITING:
+            return self.trajectory.get(frame.index)
+        self.mapper.optimiser.sharpness.look(frame.index, frame.image)
+        if self.phase is Phase.WAITING:
             self._begin(self.first_frames.add(frame))
         else:
             self._process(frame)

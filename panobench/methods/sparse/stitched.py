@@ -56,9 +56,9 @@ def undo_stitching(
     for key in m.keyframes:
         key.measured = None
     for record in records:
-        clear = ~in_seam(record.bearings)
-        record.points = record.points[clear]
-        record.bearings = lenses.seen(record.bearings[clear].astype(np.float64)).astype(np.float32)
+        bearings = record.bearings.astype(np.float64)
+        clear = ~in_seam(bearings)
+        record.points, record.bearings = record.points[clear], lenses.seen(bearings[clear]).astype(np.float32)
     sigma = scale_sigma(m, config, focal)
     extra["stitch_m"] = 1 / lenses.inverse_distance if lenses.inverse_distance else None
     extra["scale_sigma_percent"] = 100 * sigma if np.isfinite(sigma) else None
