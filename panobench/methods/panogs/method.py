@@ -24,7 +24,7 @@ from panobench.maps.saved import SavedMap
 from panobench.masks.frame_masks import FrameMasks
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.agreement import agreement
-from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.config import PanogsConfig, StitchOptions
 from panobench.methods.panogs.continuation import add_places, continue_map, saved_map
 from panobench.methods.panogs.exposure import ExposureMatcher
 from panobench.methods.panogs.factors import FactorGraph
@@ -95,7 +95,8 @@ class PanogsMethod(OnlineMethod):
         self.mapper = Mapper(camera, renderer, c, self.trajectory, context.seed)
         self.tracker.transients = self.mapper.transients
         rows = self.rig.rolling_shutter(c.rolling_shutter) if self.rig else c.rolling_shutter
-        self.shutter, self.seam = RollingShutter(camera, rows), Seam(camera, c.stitch)
+        stitch = StitchOptions() if self.rig else c.stitch  # the panorama of a rig is not stitched
+        self.shutter, self.seam = RollingShutter(camera, rows), Seam(camera, stitch)
         self.rectifier = Rectifier(camera, self.shutter, self.seam)
         self.exposure = ExposureMatcher(self.mapper.weights, width, c.exposure)
         self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)
