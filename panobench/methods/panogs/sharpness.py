@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 SHARP_PERCENTILE, FEWEST = 90.0, 10
 #: Detail of a frame that has nothing to say, over that of a sharp one, and the share of its steps that it keeps.
 BLUREST, LEAST_SHARE = 0.5, 0.05
+#: A view of fewer steradians sees other things as it turns, and their detail says nothing of blur.
+MOST_OF_THE_SPHERE = 2.5 * np.pi
 #: Rows of a panorama that are left out at the top and the bottom, as a share: there, columns crowd.
 POLES = 1 / 6
 
@@ -27,7 +29,7 @@ class Sharpness:
     """Detail of all frames so far, by index. below: of a sharp frame's detail, under which one counts as blurred."""
 
     def __init__(self, camera: Camera, below: float) -> None:
-        self.below = below if ViewWidth.of(camera) is ViewWidth.WIDE else 0.0
+        self.below = below if ViewWidth.of(camera, MOST_OF_THE_SPHERE) is ViewWidth.WIDE else 0.0
         self._poles = int(camera.height * POLES) if camera.kind == "erp" else 0
         self._detail: dict[int, Array] = {}
         self._sharp: Array | None = None

@@ -57,6 +57,9 @@ def test_neither_turning_nor_exposure_looks_like_blur(gain: float) -> None:
 
 def test_narrow_views_and_the_paper_look_at_nothing() -> None:
     assert looked(PinholeCamera.from_fov(160, 120, 80)).share(3) == 1
+    half = np.zeros((128, 256), bool)
+    half[:, :128] = True
+    assert looked(CAMERA.with_mask(half)).share(3) == 1
     assert PRESETS["paper"]["mapping.blurred_below"] == 0
 
 
