@@ -5,6 +5,7 @@ what one loads does not count for another. Run it after kernels or their callers
 
     python scripts/record_kernels.py            # with a cache of its own: everything is compiled, some minutes
     python scripts/record_kernels.py sparse     # some methods; the others' entries stay
+    python scripts/record_kernels.py direct --cache DIR     # and what the ones before compiled is not compiled again
 """
 
 from __future__ import annotations
@@ -41,16 +42,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("methods", nargs="*", metavar="METHOD", help=f"of {', '.join(RUNS)}; default: all")
     parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--cache", type=Path, help="a folder that keeps what is compiled for the next call")
+    parser.add_argument("--camera", nargs="*", help="kinds of camera to run; kinds without a record use those of any")
     arguments = parser.parse_args()
     methods = arguments.methods or list(RUNS)
     known = entry_points()
     seconds = {(e.function, e.arguments): e.seconds for e in known}
     users = {(e.function, e.arguments): {u for u in e.users if u.partition("/")[0] not in methods} for e in known}
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = arguments.cache or Path(temporary)
         for method in methods:
             for options in RUNS[method]:
+                if arguments.camera and options["camera"] not in arguments.camera:
+                    continue
                 # The first run compiles; in the second nothing is loaded for another kernel's sake.
-                first, second = (one_run(method, options, arguments.frames, Path(folder)) for _ in range(2))
+                first, second = (one_run(method, options, arguments.frames, folder) for _ in range(2))
                 seconds.update({(f, a): s for f, a, s in first["compiled"]})
                 kind = str(options["camera"])
                 for function, types in [*((f, a) for f, a, _ in first["compiled"]), *second["loaded"]]:
