@@ -98,8 +98,8 @@ def _of_one_camera(images: list[Path], name: str) -> tuple[list[Path], list[str]
     if not cameras:
         return images, []
     chosen = name.rpartition("/")[2]
-    listed = ", ".join(cameras)
-    return cameras[chosen], [f"the folder has images of {len(cameras)} cameras ({listed}); these are of {chosen}"]
+    line = f"the folder has images of {len(cameras)} cameras ({', '.join(cameras)}); these are of {chosen} (--sequence)"
+    return cameras[chosen], [line]
 
 
 def image_folders(root: Path) -> dict[str, Path]:

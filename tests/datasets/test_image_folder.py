@@ -234,7 +234,7 @@ def test_cameras_whose_images_share_a_folder_are_sequences(
         assert {int(sequence.image(i)[0, 0, 0]) for i in range(len(sequence))} == {50 * k}
         assert len(sequence) == 11
         listed = ", ".join(cameras)
-        line = f"the folder has images of {len(cameras)} cameras ({listed}); these are of {camera}"
+        line = f"the folder has images of {len(cameras)} cameras ({listed}); these are of {camera} (--sequence)"
         assert line in sequence.remarks()
 
 
