@@ -109,7 +109,7 @@ class ColmapProject(_Posed):
             )
         found = read_images(model[1])
         number, count = Counter(found.cameras).most_common(1)[0]
-        remarks = []
+        remarks: list[str] = []
         camera = None
         if count < len(found.cameras) and not _one_camera(model[0]):
             camera, remarks = _middle_of(model[0], set(found.cameras))

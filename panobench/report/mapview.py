@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from panobench.errors import InputError
 from panobench.geometry import Sim3
@@ -90,7 +91,7 @@ def map_trace(
     }
 
 
-def _hides(points: Array, path: Array, radius: float) -> Array:
+def _hides(points: Array, path: Array, radius: float) -> NDArray[np.bool_]:
     """(N,) bool: points nearer than ``radius`` to the line from the path (M, 3) to whoever looks at the plot."""
     towards = np.array(EYE) - np.array(LOOKED_AT)
     towards /= np.linalg.norm(towards)
