@@ -37,6 +37,8 @@ class Builder:
         self._node_count = 0
         self._materials: dict[Material, int] = {}
         self._groups = 0
+        self._cell = -1
+        self._cell_of: list[int] = []
 
     # -- placement ---------------------------------------------------------------------------------------------
     @contextmanager
@@ -50,6 +52,20 @@ class Builder:
             yield
         finally:
             self._frame = keep
+
+    @contextmanager
+    def cell(self, number: int) -> Iterator[None]:
+        """In the block, primitives belong to a cell (see ``cells``)."""
+        keep, self._cell = self._cell, number
+        try:
+            yield
+        finally:
+            self._cell = keep
+
+    @property
+    def members(self) -> NDArray[np.int32]:
+        """The cell (N,) of each primitive so far; -1: none."""
+        return np.asarray(self._cell_of, dtype=np.int32)
 
     def world(self, points: ArrayLike) -> Array:
         """Local points (..., 3) in world axes."""
@@ -184,24 +200,8 @@ class Builder:
         normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
         base = self._add_nodes(p.reshape(-1, 3), normal.reshape(-1, 3), two_sided)
         k = 1.0 / (material.scale or 1.0)
-        s = (
-            np.concatenate(
-                [
-                    [0],
-                    np.cumsum(np.linalg.norm(np.diff(p, axis=1), axis=-1).max(axis=0)),
-                ]
-            )
-            * k
-        )
-        t = (
-            np.concatenate(
-                [
-                    [0],
-                    np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=-1).max(axis=1)),
-                ]
-            )
-            * k
-        )
+        s = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(p, axis=1), axis=-1).max(axis=0))]) * k
+        t = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=-1).max(axis=1))]) * k
         o = self.rng.uniform(0, 1, 2)
         gid = self.new_group() if group is None else group
         for i in range(m - 1):
@@ -214,14 +214,7 @@ class Builder:
                     a, b = p[i1, j1] - p[i0, j0], p[i2, j2] - p[i0, j0]
                     if np.linalg.norm(np.cross(a, b)) < 1e-9:
                         continue
-                    uv = [
-                        o[0] + s[j0],
-                        s[j1] - s[j0],
-                        s[j2] - s[j0],
-                        o[1] + t[i0],
-                        t[i1] - t[i0],
-                        t[i2] - t[i0],
-                    ]
+                    uv = [o[0] + s[j0], s[j1] - s[j0], s[j2] - s[j0], o[1] + t[i0], t[i1] - t[i0], t[i2] - t[i0]]
                     self._add(p[i0, j0], a, b, TRIANGLE, material, gid, two_sided, uv)
                     self._nodes.append((base + i0 * n + j0, base + i1 * n + j1, base + i2 * n + j2))
 
@@ -342,6 +335,7 @@ class Builder:
         uv: ArrayLike,
     ) -> None:
         self._prims.append((p, a, b))
+        self._cell_of.append(self._cell)
         self._meta.append((shape, self._material(material), group, two_sided))
         self._tint.append(material.tint)
         self._uv.append(uv)

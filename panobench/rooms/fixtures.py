@@ -64,12 +64,11 @@ def wall(
             )
 
     for x0, x1 in pairwise(cuts):
-        hole = next((o for o in openings if o.x0 <= x0 + 1e-9 and o.x1 >= x1 - 1e-9), None)
-        if hole is None:
-            piece(x0, x1, 0.0, height)
-        else:
-            piece(x0, x1, 0.0, hole.z0)
-            piece(x0, x1, hole.z1, height)
+        top = 0.0
+        for hole in sorted((o for o in openings if o.x0 <= x0 + 1e-9 and o.x1 >= x1 - 1e-9), key=lambda o: o.z0):
+            piece(x0, x1, top, hole.z0)
+            top = hole.z1
+        piece(x0, x1, top, height)
     for o in openings:
         if o.kind in ("door", "passage"):
             continue
@@ -100,8 +99,8 @@ def skirting(
 def casing(b: Builder, o: Opening, material: Material = FRAME, width: float = 0.06) -> None:
     """The trim round a door or doorway."""
     t = 0.018
-    b.box((o.x0 - width, 0, 0), (o.x0, t, o.z1), material, skip="yz")
-    b.box((o.x1, 0, 0), (o.x1 + width, t, o.z1), material, skip="yz")
+    b.box((o.x0 - width, 0, o.z0), (o.x0, t, o.z1), material, skip="yz")
+    b.box((o.x1, 0, o.z0), (o.x1 + width, t, o.z1), material, skip="yz")
     b.box((o.x0 - width, 0, o.z1), (o.x1 + width, t, o.z1 + width), material, skip="y")
 
 

@@ -62,7 +62,8 @@ class FrameRenderer:
 
     @cached_property
     def _gains(self) -> Array:
-        return self.world.path.exposure * effects.gains(self.options, len(self.T_wc))
+        path = self.world.path
+        return path.exposure * path.gains * effects.gains(self.options, len(self.T_wc))
 
     @cached_property
     def _shutter(self) -> float:

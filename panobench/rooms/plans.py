@@ -13,6 +13,7 @@ from panobench.rooms import furniture as fu
 from panobench.rooms import household as hh
 from panobench.rooms import small
 from panobench.rooms.builder import Builder
+from panobench.rooms.cells import Cells
 from panobench.rooms.fixtures import Opening
 from panobench.rooms.mesh import Material, Mesh
 from panobench.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, hang_pictures
@@ -20,10 +21,11 @@ from panobench.rooms.shell import SIDES, Item, Room, build_shell, furnish_wall, 
 
 @dataclass
 class Plan:
-    """A built scene, and the corner points (N, 3) of a closed walk through it, metres."""
+    """A built scene, and the corner points (N, 3) of a closed walk through it, metres. cells: of a building."""
 
     mesh: Mesh
     walk: np.ndarray
+    cells: Cells | None = None
 
 
 def pick(rng: np.random.Generator, *choices: str) -> str:

@@ -91,7 +91,7 @@ def radiance(
     out = np.zeros(bundle.rays.shape, dtype=np.float32)
     shading.render_frame(
         _view(T_wc), bundle.rays, bundle.ray_x, bundle.ray_y, bundle.coarse, bundle.fine, sample_offsets(sub),
-        float(gain), m.p0, g.duals, g.normal, m.two_sided, m.shape,
+        float(gain), g.seen_from(T_wc[:3, 3]), m.p0, g.duals, g.normal, m.two_sided, m.shape,
         s.look, s.paint, s.atlas.texels, s.atlas.table, s.light,
         g.boxes, g.links, g.planes, g.tree_shape, g.order, out,
     )  # fmt: skip
@@ -109,9 +109,10 @@ def depth(g: Geometry, bundle: RayBundle, T_wc: NDArray[np.float64]) -> NDArray[
     """Exact radial depth (H, W) of the pixel centres, metres; NaN where nothing is seen."""
     m = g.mesh
     view = _view(T_wc)
-    f = np.empty((len(m.p0), 9), dtype=np.float32)
-    index = np.empty(len(m.p0), dtype=np.int32)
-    count = visibility.edge_functions(m.p0, g.duals, g.normal, m.two_sided, view, f, index)
+    only = g.seen_from(T_wc[:3, 3])
+    f = np.empty((len(only), 9), dtype=np.float32)
+    index = np.empty(len(only), dtype=np.int32)
+    count = visibility.edge_functions(only, m.p0, g.duals, g.normal, m.two_sided, view, f, index)
     who = np.full(bundle.rays.shape[:2], -1, dtype=np.int32)
     visibility.cast_centres(f, count, index, m.shape, bundle.rays, bundle.coarse, bundle.fine, who)
     out = np.empty(who.shape, dtype=np.float32)

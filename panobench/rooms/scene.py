@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.rooms.cells import Cells
 from panobench.rooms.mesh import TRIANGLE, Mesh
 from panobench.rooms.textures import TextureAtlas, make_texture, pack
 from panobench.rooms.trace import build_bvh, plane_rows
@@ -20,7 +21,8 @@ class Geometry:
     """What casting rays needs, in world axes: unit normals (N, 3) and dual edges (N, 6), float64.
 
     For a point x of primitive i's plane, u = duals[i, :3] . (x - p0[i]) and v = duals[i, 3:] . (x - p0[i]).
-    ``trace`` explains boxes, links, planes, tree_shape and order, the bounding volume hierarchy.
+    ``trace`` explains boxes, links, planes, tree_shape and order, the bounding volume hierarchy. cells: None where
+    everything may be seen from everywhere.
     """
 
     mesh: Mesh
@@ -31,9 +33,17 @@ class Geometry:
     order: NDArray[np.int64]
     planes: NDArray[np.float32]
     tree_shape: NDArray[np.int32]
+    cells: Cells | None = None
+
+    def __post_init__(self) -> None:
+        self._all = np.arange(len(self.normal), dtype=np.int32)
+
+    def seen_from(self, point: Array) -> NDArray[np.int32]:
+        """Numbers of the primitives that may be seen from a point (3,)."""
+        return self._all if self.cells is None else self.cells.primitives(point)
 
 
-def make_geometry(mesh: Mesh) -> Geometry:
+def make_geometry(mesh: Mesh, cells: Cells | None = None) -> Geometry:
     """Normals, dual edges and bounding volume hierarchy of a mesh."""
     cross = np.cross(mesh.eu, mesh.ev)
     area = np.linalg.norm(cross, axis=1, keepdims=True)
@@ -53,6 +63,7 @@ def make_geometry(mesh: Mesh) -> Geometry:
         order,
         rows[order],
         mesh.shape[order],
+        cells,
     )
 
 

@@ -247,18 +247,19 @@ def _shade_tile(
 @njit(nogil=True, cache=True, error_model="numpy")
 def render_frame(
     view: Any, rays: Any, ray_x: Any, ray_y: Any, coarse: Any, fine: Any, offsets: Any, gain: float,
-    p0: Any, duals: Any, normal: Any, two_sided: Any, shape: Any,
+    only: Any, p0: Any, duals: Any, normal: Any, two_sided: Any, shape: Any,
     look: Any, paint: Any, texels: Any, table: Any, light: Any,
     boxes: Any, links: Any, planes: Any, tree_shape: Any, order: Any, out: Any,
 ) -> None:  # fmt: skip
     """Add one frame's display-linear RGB to ``out`` (H, W, 3) float32.
 
     rays, ray_x, ray_y, coarse, fine: of ``render.RayBundle``. offsets: (S, 2) visibility samples in a pixel.
+    only: numbers of the primitives that may be seen.
     """
     H, W = rays.shape[0], rays.shape[1]
-    f = np.empty((p0.shape[0], 9), np.float32)
-    index = np.empty(p0.shape[0], np.int32)
-    count = edge_functions(p0, duals, normal, two_sided, view, f, index)
+    f = np.empty((only.shape[0], 9), np.float32)
+    index = np.empty(only.shape[0], np.int32)
+    count = edge_functions(only, p0, duals, normal, two_sided, view, f, index)
     every = np.arange(count).astype(np.int32)
     big, small = np.empty(count + 1, np.int32), np.empty(count + 1, np.int32)
     per = offsets.shape[0]

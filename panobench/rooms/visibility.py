@@ -22,14 +22,14 @@ TOLERANCE = 2e-5  # in units of an edge: closes the cracks that float32 leaves b
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def edge_functions(p0: Any, duals: Any, normal: Any, two_sided: Any, view: Any, out: Any, index: Any) -> int:
-    """Fill ``out`` (N, 9) float32 with W, U, V in the camera frame of the primitives that face the centre.
+def edge_functions(only: Any, p0: Any, duals: Any, normal: Any, two_sided: Any, view: Any, out: Any, index: Any) -> int:
+    """Fill ``out`` (N, 9) float32 with W, U, V in the camera frame of the primitives ``only`` that face the centre.
 
     duals: (N, 6) dual edges. view: (4, 3) rows of the camera-to-world rotation, then the centre. ``index`` gets the
     primitives' numbers. Returns how many there are.
     """
     count = 0
-    for i in range(p0.shape[0]):
+    for i in only:
         q0, q1, q2 = p0[i, 0] - view[3, 0], p0[i, 1] - view[3, 1], p0[i, 2] - view[3, 2]
         n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
         k = n0 * q0 + n1 * q1 + n2 * q2
@@ -96,6 +96,42 @@ def _may_touch(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def _least(x: float, y: float, z: float, ax: float, ay: float, az: float, cos_h: float, sin_h: float) -> float:
+    """A lower bound of the linear function (x, y, z).d over the directions d in the cone."""
+    along = x * ax + y * ay + z * az
+    norm2 = x * x + y * y + z * z
+    across = np.sqrt(max(norm2 - along * along, 0.0))
+    return along * cos_h - across * sin_h - 1e-4 * np.sqrt(norm2)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _most(x: float, y: float, z: float, ax: float, ay: float, az: float, cos_h: float, sin_h: float) -> float:
+    """An upper bound of it."""
+    along = x * ax + y * ay + z * az
+    norm = np.sqrt(x * x + y * y + z * z)
+    if along >= norm * cos_h:
+        return norm
+    return along * cos_h + np.sqrt(max(norm * norm - along * along, 0.0)) * sin_h + 1e-4 * norm
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _covers(f: Any, i: int, shape: int, ax: float, ay: float, az: float, cos_h: float, sin_h: float) -> bool:
+    """Whether every ray of the cone meets a parallelogram or triangle."""
+    if shape != RECT and shape != TRIANGLE:
+        return False
+    w0, w1, w2 = f[i, 0], f[i, 1], f[i, 2]
+    u0, u1, u2 = f[i, 3], f[i, 4], f[i, 5]
+    v0, v1, v2 = f[i, 6], f[i, 7], f[i, 8]
+    if _least(u0, u1, u2, ax, ay, az, cos_h, sin_h) < 0 or _least(v0, v1, v2, ax, ay, az, cos_h, sin_h) < 0:
+        return False
+    if shape == TRIANGLE:
+        return _least(w0 - u0 - v0, w1 - u1 - v1, w2 - u2 - v2, ax, ay, az, cos_h, sin_h) >= 0
+    if _least(w0 - u0, w1 - u1, w2 - u2, ax, ay, az, cos_h, sin_h) < 0:
+        return False
+    return _least(w0 - v0, w1 - v1, w2 - v2, ax, ay, az, cos_h, sin_h) >= 0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def cone_of(rays: Any, y0: int, y1: int, x0: int, x1: int, spread: float) -> tuple[float, float, float, float]:
     """Axis and cosine of the half angle of a cone round a block of rays, widened by ``spread`` radians.
 
@@ -148,7 +184,10 @@ def tile_cones(rays: Any, spreads: Any, tile_w: int, tile_h: int) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def candidates(f: Any, index: Any, shape: Any, source: Any, count: int, cone: Any, out: Any) -> int:
-    """Write to ``out`` the rows of ``f``, of those in ``source[:count]``, that the cone may see; returns how many."""
+    """Write to ``out`` the rows of ``f``, of those in ``source[:count]``, that the cone may see; returns how many.
+
+    What is behind something that fills the whole cone is left out, too. Rows keep their order.
+    """
     cos_h = cone[3]
     if cos_h > 1.5:
         return 0
@@ -157,13 +196,25 @@ def candidates(f: Any, index: Any, shape: Any, source: Any, count: int, cone: An
             out[j] = source[j]
         return count
     sin_h = np.sqrt(max(0.0, 1.0 - cos_h * cos_h))
-    n = 0
+    n, wall = 0, 0.0  # inverse distance at which a wall fills the cone
     for j in range(count):
         i = source[j]
-        if _may_touch(f, i, shape[index[i]], cone[0], cone[1], cone[2], cos_h, sin_h):
-            out[n] = i
-            n += 1
-    return n
+        if not _may_touch(f, i, shape[index[i]], cone[0], cone[1], cone[2], cos_h, sin_h):
+            continue
+        out[n] = i
+        n += 1
+        near = _least(f[i, 0], f[i, 1], f[i, 2], cone[0], cone[1], cone[2], cos_h, sin_h)
+        if near > wall and _covers(f, i, shape[index[i]], cone[0], cone[1], cone[2], cos_h, sin_h):
+            wall = near
+    if wall == 0.0:
+        return n
+    kept = 0
+    for j in range(n):
+        i = out[j]
+        if _most(f[i, 0], f[i, 1], f[i, 2], cone[0], cone[1], cone[2], cos_h, sin_h) >= wall:
+            out[kept] = i
+            kept += 1
+    return kept
 
 
 @njit(nogil=True, cache=True, fastmath={"contract", "nsz", "reassoc", "arcp"}, error_model="numpy")

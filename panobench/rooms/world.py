@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.rooms import cache, motion
+from panobench.errors import UsageError
+from panobench.rooms import cache, motion, walks
+from panobench.rooms.exposure import auto_exposure
 from panobench.rooms.kinds import KINDS, Kind
 from panobench.rooms.mesh import TRIANGLE
 from panobench.rooms.plans import Plan
@@ -27,12 +29,14 @@ CLEARANCE = 0.3  # metres that the camera keeps from everything
 class CameraPath:
     """Camera-to-world poses of the frames (N, 4, 4) and of the novel views (8, 4, 4), and the scene's exposure.
 
-    exposure: factor from radiance to display-linear values, before the tone curve.
+    exposure: factor from radiance to display-linear values, before the tone curve. gains (N,): of each frame on top
+    of it.
     """
 
     T_wc: Array
     novel: Array
     exposure: float
+    gains: Array
 
 
 class World:
@@ -42,14 +46,23 @@ class World:
         self.name, self.seed = kind, seed
         self.kind: Kind = KINDS[kind]
         self.frames = frames or self.kind.motion.frames
+        walk = self.kind.walk
+        if walk is not None and self.kind.first + self.frames > walk.frames:
+            most = walk.frames - self.kind.first
+            raise UsageError(f"room option frames={self.frames}: the walk through '{kind}' ends after {most}")
 
     def rng(self, purpose: str) -> np.random.Generator:
         """Random numbers for one purpose, independent of other purposes and the same on every call."""
-        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode()), zlib.crc32(purpose.encode())])
+        name = self.kind.scene or self.name
+        return np.random.default_rng([self.seed, zlib.crc32(name.encode()), zlib.crc32(purpose.encode())])
 
     def key(self) -> dict[str, Any]:
         """What the room and its path depend on, for cache keys."""
         return {"room": self.name, "seed": self.seed, "frames": self.frames}
+
+    def _scene_key(self) -> dict[str, Any]:
+        """What the baked light depends on, and the path that is kept beside it: a whole walk."""
+        return self.key() if self.kind.walk is None else {"room": self.kind.scene, "seed": self.seed}
 
     @cached_property
     def plan(self) -> Plan:
@@ -59,12 +72,13 @@ class World:
     @cached_property
     def geometry(self) -> Geometry:
         """The mesh prepared for casting rays."""
-        return make_geometry(self.plan.mesh)
+        return make_geometry(self.plan.mesh, self.plan.cells)
 
     @cached_property
     def folder(self) -> Path:
         """Cache folder of the room's light and poses."""
-        return cache.cache_root() / "rooms" / f"{self.name}-{self.seed}-{cache.key_of(self.key())}"
+        key = self._scene_key()
+        return cache.cache_root() / "rooms" / f"{key['room']}-{self.seed}-{cache.key_of(key)}"
 
     @cached_property
     def _surfaces(self) -> Surfaces:
@@ -77,6 +91,12 @@ class World:
         surfaces = self._surfaces
         light = bake(g, surfaces, worker_count())
         exposure = _exposure(g, light, surfaces.albedo)
+        if self.kind.walk is not None:
+            T_wc = walks.walk_poses(self.plan.walk, self.kind.walk, self.rng("path"))
+            surfaces.light = light
+            gains = auto_exposure(Scene(g, surfaces), T_wc, exposure)
+            np.savez(folder / "room.npz", light=light, exposure=exposure, T_wc=T_wc, gains=gains)
+            return
         T_wc = motion.clear_trajectory(
             self.plan.walk,
             self.kind.motion,
@@ -97,7 +117,12 @@ class World:
         """Poses and exposure, from the cache."""
         self.prepare()
         with np.load(self.folder / "room.npz") as z:
-            return CameraPath(z["T_wc"], z["novel"], float(z["exposure"]))
+            if self.kind.walk is None:
+                return CameraPath(z["T_wc"], z["novel"], float(z["exposure"]), np.ones(len(z["T_wc"])))
+            part = slice(self.kind.first, self.kind.first + self.frames)
+            T_wc, gains, exposure = z["T_wc"][part], z["gains"][part], float(z["exposure"])
+        novel = motion.novel_poses(T_wc, self.geometry.mesh, self.rng("novel"), NOVEL_VIEWS, CLEARANCE)
+        return CameraPath(T_wc, novel, exposure, gains)
 
     @cached_property
     def scene(self) -> Scene:
