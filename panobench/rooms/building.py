@@ -121,10 +121,11 @@ class Building:
 def _meeting(a: Room, c: Room) -> str:
     """The side of ``a`` at which ``c`` is."""
     gaps = {"north": c.y0 - a.y1, "south": a.y0 - c.y1, "east": c.x0 - a.x1, "west": a.x0 - c.x1}
-    found = [side for side, gap in gaps.items() if -1e-6 < gap < TOUCHING]
-    if len(found) != 1:
-        raise ValueError(f"spaces meet at {found or 'no side'}")
-    return found[0]
+    beside = {"x": a.x0 < c.x1 and c.x0 < a.x1, "y": a.y0 < c.y1 and c.y0 < a.y1}
+    for side, gap in gaps.items():
+        if -1e-6 < gap < TOUCHING and beside["x" if side in ("north", "south") else "y"]:
+            return side
+    raise ValueError("spaces meet at no side")
 
 
 def _along(room: Room, side: str, at: float) -> float:
