@@ -8,6 +8,7 @@ from panobench.types import Estimate, Trajectory
 from panobench.verdict import estimate as own
 from panobench.verdict import trajectory as path
 from panobench.verdict.base import Evidence, Verdict, decide
+from panobench.verdict.height import steady_height
 
 #: Trust in a second method's opinion from which it confirms the path.
 CONFIRMED = 0.9
@@ -32,6 +33,7 @@ def assess(
         path.steadiness(estimate.trajectory),
         own.first_depth(estimate, confirmed=confirmed),
         own.agreement(estimate),
+        steady_height(estimate),
         own.inertial(estimate),
         own.map_pictures(metrics or {}),
         *opinions,

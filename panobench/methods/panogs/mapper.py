@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.methods.ground import height_above_ground
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.keyframes import is_keyframe
 from panobench.methods.panogs.map_optimiser import MapOptimiser
@@ -44,6 +45,7 @@ class Mapper:
         self.map = TrainableMap(config.rates.beta1, config.rates.beta2, renderer.device)
         self.optimiser = MapOptimiser(camera, renderer, config, self.map, trajectory, self.rng)
         self.weights, self.width = self.optimiser.weights, ViewWidth.of(camera)
+        self._rays = np.nan_to_num(camera.rays()[::4, ::4])
         self.split_count = 0
         valid = int(np.count_nonzero(camera.valid_mask()))
         self.seeds_per_image = max(int(valid / config.seeding.pixels_per_gaussian), 16)
@@ -149,6 +151,11 @@ class Mapper:
         """Median rendered depth, from every fourth row and column; the first map's where nothing is drawn."""
         depth = render.depth[::4, ::4][(render.opacity[::4, ::4] > 0.5) & (self.weights[::4, ::4] > 0)]
         return float(np.median(depth)) if depth.size else self.scene_depth
+
+    def height(self, render: Render) -> float:
+        """The camera's height above what a render shows below it, from every fourth row and column; NaN if unknown."""
+        known = (render.opacity[::4, ::4] > 0.5) & (self.weights[::4, ::4] > 0)
+        return height_above_ground(self._rays[known], render.depth[::4, ::4][known])
 
     def thin(self, render: Render) -> Mask:
         """(H, W): valid pixels whose rendered opacity is below ``seeding.opacity_below``."""

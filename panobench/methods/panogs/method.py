@@ -164,7 +164,7 @@ class PanogsMethod(OnlineMethod):
         self._record(frame, trusted, scene_depth)
         tracking_s = time.perf_counter() - began
         self._note(frame, tracking_s=tracking_s, loss=trusted.cost, iterations=trusted.iterations)
-        self._note(frame, gaussians=len(gaussians))
+        self._note(frame, gaussians=len(gaussians), height=self.mapper.height(trusted.render))
         if frame.mappable:
             self._map(frame, trusted)
         self.jobs.run_next(scene_depth)
@@ -241,8 +241,9 @@ class PanogsMethod(OnlineMethod):
         self.tracker.coast()
 
     def _note(self, frame: Frame, **numbers: float) -> None:
-        """Numbers of a frame for frames.csv."""
-        self.numbers.setdefault(frame.index, {}).update({name: float(n) for name, n in numbers.items()})
+        """Numbers of a frame for frames.csv; what is not finite is not known."""
+        known = {name: float(n) for name, n in numbers.items() if np.isfinite(n)}
+        self.numbers.setdefault(frame.index, {}).update(known)
 
     def _enter(self, phase: Phase) -> None:
         if self.phase is not Phase.FINISHING:

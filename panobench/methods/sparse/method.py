@@ -21,6 +21,7 @@ from panobench.geometry import invert_pose, make_pose, renormalise, so3_log
 from panobench.inertial.fusion import Unit
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.methods.base import MethodContext, OnlineMethod
+from panobench.methods.ground import height_above_ground
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.faces import FaceSet, build_faces, levels_for
 from panobench.methods.sparse.initialise import Initialiser, solve_initial_frame
@@ -192,6 +193,10 @@ class SparseMethod(OnlineMethod):
         session.velocity = np.eye(4) if recovered else renormalise(tracked.T_cw @ invert_pose(session.T_cw))
         session.T_cw = tracked.T_cw
         self.numbers[frame.index] = {"points": float(len(tracked.points)), "error_px": tracked.error_px}
+        distances = np.linalg.norm(m.position[tracked.points] @ tracked.T_cw[:3, :3].T + tracked.T_cw[:3, 3], axis=1)
+        height = height_above_ground(tracked.bearings, distances)
+        if np.isfinite(height):
+            self.numbers[frame.index]["height"] = height
         reference = m.keyframes[-1]
         if frame.mappable and self._wants_keyframe(m, frame, tracked):
             reference = self._add_keyframe(session, pyramid, frame, tracked)
