@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve
+from scipy.linalg import LinAlgError, solve
 
 from panobench.geometry import hat, invert_pose, renormalise, se3_exp, se3_log
 from panobench.photometric.bundle import Bundle
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 ITERATIONS = 4
 #: A step that changes nothing by more than this, in standard deviations of the prior, is the last one.
 CONVERGED = 1e-3
+#: Shares of itself that are added to the diagonal of a system that is not positive definite, one after the other.
+DAMPING = (0.0, 1e-6, 1e-3, 0.1)
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,30 @@ def optimise_trajectory(T_wc: Array, factors: list[BundleFactor], prior: PosePri
             H[cells[:, None], cells] += A
             b[cells] += g
         x = np.zeros(6 * count)
-        x[free] = solve(H[free[:, None], free], -b[free], assume_a="pos", overwrite_a=True, check_finite=False)
+        step = _solved(H[free[:, None], free], -b[free])
+        if step is None:
+            break
+        x[free] = step
         T_cw = renormalise(se3_exp(x.reshape(count, 6)) @ T_cw)
         if np.abs(x * np.sqrt(unit)).max() < CONVERGED:
             break
     return invert_pose(T_cw)
+
+
+def _solved(H: Array, b: Array) -> Array | None:
+    """x with H x = b, H (n, n) symmetric; None if there are no finite numbers.
+
+    Rounding in the Schur complements can leave H slightly indefinite: then its diagonal is raised as far as it takes.
+    """
+    if not (np.isfinite(H).all() and np.isfinite(b).all()):
+        return None
+    for damping in DAMPING:
+        try:
+            damped = H + damping * np.diag(np.abs(np.diag(H)))
+            return np.asarray(solve(damped, b, assume_a="pos", overwrite_a=True, check_finite=False))
+        except LinAlgError:
+            continue
+    return None
 
 
 def marginalise(factor: BundleFactor, keep: NDArray[np.bool_]) -> BundleFactor | None:

@@ -137,3 +137,23 @@ def test_cost_of_a_factor_does_not_depend_on_its_scale() -> None:
         free /= np.linalg.norm(free)
         assert np.all(np.linalg.eigvalsh(A) > -1e-6 * np.trace(A) / len(A))
         assert free @ A @ free < 0.02 * np.trace(A) / len(A)
+
+
+def test_a_system_that_rounding_left_indefinite_is_solved() -> None:
+    truth = path(12)
+    bad = factor(truth, 5, 5)
+    values, vectors = np.linalg.eigh(bad.bundle.information)
+    values[:3] = -2e-3 * values.max()  # more than the prior makes up for
+    indefinite = Bundle(bad.bundle.T_fr, 0.0, (vectors * values) @ vectors.T, bad.bundle.gradient)
+    factors = [BundleFactor(5, bad.frames, indefinite)]
+    T = optimise_trajectory(disturbed(truth, 0.003), factors, LOOSE, np.arange(12) == 0)
+    assert np.isfinite(T).all()
+    assert misfit(T, truth) < 0.05
+
+
+def test_poses_stay_where_a_factor_has_no_numbers() -> None:
+    truth = path(12)
+    bad = factor(truth, 5, 5)
+    nothing = Bundle(bad.bundle.T_fr, 0.0, bad.bundle.information * np.nan, bad.bundle.gradient)
+    T = optimise_trajectory(truth, [BundleFactor(5, bad.frames, nothing)], LOOSE, np.arange(12) == 0)
+    np.testing.assert_allclose(T, truth, atol=1e-12)
