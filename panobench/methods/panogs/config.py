@@ -221,7 +221,7 @@ class MappingOptions(Options):
     random_views: int = option(2, "views outside the window in each round of steps")
     random_from: Literal["frames", "keyframes"] = option("frames", "where these come from")
     blurred_below: float = option(
-        0.0, "fine detail, over the sharpest frames', below which the map learns less from a frame; 0: off", below=1
+        0.75, "fine detail, over the sharpest frames', below which the map learns less from a frame; 0: off", below=1
     )
     frame_pool: int = option(300, "frames outside the window whose images are kept for mapping")
     refine_poses: bool = option(True, "refine the poses of the views along with the map")
@@ -302,6 +302,7 @@ PAPER: dict[str, Any] = {
     "mapping.steps_per_frame": 0,
     "mapping.final_iterations": 0,
     "mapping.culling_px": 0.0,
+    "mapping.blurred_below": 0.0,
     "mapping.isotropy": 10.0,
     "rates.position": 1.6e-4,
     "rates.scale": 1e-3,

@@ -9,7 +9,7 @@ import pytest
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.config import PRESETS, PanogsConfig
 from panobench.methods.panogs.map_optimiser import MapOptimiser
 from panobench.methods.panogs.sharpness import Sharpness
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
@@ -18,7 +18,6 @@ from panobench.methods.splatting.views import View
 from panobench.splat.render import Renderer
 
 CAMERA = ErpCamera(256, 128)
-BELOW = 0.75
 BLURRED = (3, 7, 8, 15)
 
 
@@ -33,7 +32,7 @@ def picture(turn: int, streak: int = 1) -> np.ndarray:
 
 
 def looked(camera: Camera, *, streak: int = 5) -> Sharpness:
-    found = Sharpness(camera, BELOW)
+    found = Sharpness(camera, PanogsConfig().mapping.blurred_below)
     for k in range(20):
         found.look(k, picture(5 * k, streak if k in BLURRED else 1)[: camera.height, : camera.width])
     return found
@@ -49,19 +48,19 @@ def test_blurred_frames_get_fewer_steps_and_all_others_the_usual_ones() -> None:
 
 @pytest.mark.parametrize("gain", [0.5, 1.0])
 def test_neither_turning_nor_exposure_looks_like_blur(gain: float) -> None:
-    found = Sharpness(CAMERA, BELOW)
+    found = Sharpness(CAMERA, PanogsConfig().mapping.blurred_below)
     for k in range(20):
         image = picture(7 * k)
         found.look(k, (image * (gain if k % 2 else 1.0)).astype(np.uint8))
     assert [found.share(k) for k in range(20)] == [1.0] * 20
 
 
-def test_narrow_views_look_at_nothing_and_nobody_does_unless_asked() -> None:
+def test_narrow_views_and_the_paper_look_at_nothing() -> None:
     assert looked(PinholeCamera.from_fov(160, 120, 80)).share(3) == 1
     half = np.zeros((128, 256), bool)
     half[:, :128] = True
     assert looked(CAMERA.with_mask(half)).share(3) == 1
-    assert PanogsConfig().mapping.blurred_below == 0
+    assert PRESETS["paper"]["mapping.blurred_below"] == 0
 
 
 def test_the_map_is_trained_on_the_sharp_views() -> None:
