@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.cameras.erp import ErpCamera
 from panobench.geometry import invert_pose, make_pose
 from panobench.inertial.fusion import Unit
 from panobench.inertial.stage import InertialStage, MetricPoses
@@ -35,7 +34,7 @@ from panobench.methods.panogs.place_recognition import Places
 from panobench.methods.panogs.rectify import Rectifier
 from panobench.methods.panogs.relocalise import Relocaliser
 from panobench.methods.panogs.revisits import RevisitFactors
-from panobench.methods.panogs.rig_frames import RigFrames
+from panobench.methods.panogs.rig_frames import rig_frames
 from panobench.methods.panogs.rolling_shutter import RollingShutter
 from panobench.methods.panogs.seam import Seam
 from panobench.methods.panogs.start import FirstMap, Start
@@ -76,7 +75,7 @@ class PanogsMethod(OnlineMethod):
     def start(self, camera: Camera, context: MethodContext) -> None:
         c, width = self.config, ViewWidth.of(camera)
         self.camera, self.context, self.phase = camera, context, Phase.WAITING
-        self.rig = self._rig_of(camera)
+        self.rig = rig_frames(camera, context, c)
         self.places = Places(camera)
         camera = self.rig.camera if self.rig else camera
         self.device = None if self.rig else device_for(context.device, camera, self._projection)
@@ -113,16 +112,6 @@ class PanogsMethod(OnlineMethod):
         self.moving = FrameMasks()
         if context.saved_map is not None:
             self._go_on(context.saved_map)
-
-    def _rig_of(self, camera: Camera) -> RigFrames | None:
-        """What there is to a rig whose lenses are seen through; None where frames are taken as they come."""
-        rig, c = self.context.rig, self.config
-        if rig is None or not c.rig.enabled or not isinstance(camera, ErpCamera):
-            return None
-        if self.context.saved_map is not None:
-            self.context.log("rig: a saved map is gone on with through the stitched panorama")
-            return None
-        return RigFrames(rig, camera, 2 * c.factors.reach / c.factors.every, self.context)
 
     @property
     def _projection(self) -> Projection:

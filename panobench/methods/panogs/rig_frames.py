@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.rig import Rig
 from panobench.cameras.rig_panorama import LensCentres, LensPictures, RigPanorama
 from panobench.inertial.fusion import Unit
 from panobench.methods.base import MethodContext
-from panobench.methods.panogs.config import RollingShutterOptions
+from panobench.methods.panogs.config import PanogsConfig, RollingShutterOptions
 from panobench.methods.panogs.rig_scale import RigScale
 from panobench.types import Frame
 
@@ -56,3 +57,13 @@ class RigFrames:
         metres = 1 / self.scale.lenses.units_per_metre
         self.context.log(f"a unit of the map is {metres:.4g} m by the lenses' distance (+- {sigma:.2%})")
         return Unit(metres, sigma)
+
+
+def rig_frames(camera: Camera, context: MethodContext, config: PanogsConfig) -> RigFrames | None:
+    """What there is to a rig whose lenses are seen through; None where frames are taken as they come."""
+    if context.rig is None or not config.rig.enabled or not isinstance(camera, ErpCamera):
+        return None
+    if context.saved_map is not None:
+        context.log("rig: a saved map is gone on with through the stitched panorama")
+        return None
+    return RigFrames(context.rig, camera, 2 * config.factors.reach / config.factors.every, context)
