@@ -47,4 +47,4 @@ def test_a_camera_that_the_device_cannot_draw_is_drawn_by_the_cpu() -> None:
     camera = PinholeCamera(64, 48, fx=40.0, fy=40.0, cx=32.0, cy=24.0)
     method.start(camera, MethodContext(device=device, warn=said.append))
     assert method.device is None
-    assert said == ["the GPU draws panoramas on the sphere alone: this run uses the CPU"]
+    assert said == ["the GPU draws panoramas of one centre on the sphere alone: this run uses the CPU"]
