@@ -79,6 +79,8 @@ def decode_stored(data: bytes, path: Path | str, frame: int | str | None = None)
         pixels = None
     if pixels is None:
         raise DatasetError("the image is damaged and cannot be decoded", path, frame=frame)
+    if size is not None and pixels.shape[:2] != (size[1], size[0]):  # a tag that stands twice, as a limit's way round
+        raise DatasetError("the image is damaged: its header claims two sizes", path, frame=frame)
     return np.asarray(pixels)
 
 

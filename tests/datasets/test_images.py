@@ -144,3 +144,18 @@ def test_resized_depth_keeps_edges_and_unknown_pixels_apart() -> None:
     assert np.isnan(big).sum() == 4
     small = resize_depth(depth, 8, 4)
     assert set(np.unique(small[np.isfinite(small)])) == {np.float32(1.0), np.float32(4.0)}
+
+
+def test_a_tiff_whose_width_stands_twice_is_refused(tmp_path: Path) -> None:
+    """Readers differ in which of two tags they take, so that limits could be checked on the wrong one."""
+    data = bytearray(cv2.imencode(".tif", np.full((16, 32), 90, np.uint8))[1].tobytes())
+    directory = int.from_bytes(data[4:8], "little")
+    for k in range(int.from_bytes(data[directory : directory + 2], "little")):
+        entry = directory + 2 + 12 * k
+        if int.from_bytes(data[entry : entry + 2], "little") == 284:  # planar configuration: a second width
+            data[entry : entry + 2] = (256).to_bytes(2, "little")
+            data[entry + 8 : entry + 10] = (1).to_bytes(2, "little")
+    path = tmp_path / "twice.tif"
+    path.write_bytes(bytes(data))
+    with pytest.raises(DatasetError):
+        read_image(path)
