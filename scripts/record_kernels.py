@@ -51,6 +51,7 @@ def main() -> None:
     users = {(e.function, e.arguments): {u for u in e.users if u.partition("/")[0] not in methods} for e in known}
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.cache or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
         for method in methods:
             for options in RUNS[method]:
                 if arguments.camera and options["camera"] not in arguments.camera:

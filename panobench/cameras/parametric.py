@@ -98,7 +98,7 @@ class ParametricCamera(Camera):
         given = {k: v for k, v in values.items() if k != "model"}
         if values.get("model", cls.kind) != cls.kind:
             raise CalibrationError(f"expected a {cls.kind} camera, found model {values['model']!r}")
-        unknown = sorted(set(given) - set(known))
+        unknown = sorted(map(str, set(given) - set(known)))  # YAML has keys of any kind
         if unknown:
             raise CalibrationError(f"{cls.kind} camera: unknown value '{unknown[0]}'; known: {', '.join(known)}")
         missing = [

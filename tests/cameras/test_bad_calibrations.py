@@ -127,3 +127,10 @@ def test_damaged_files_never_crash(tmp_path: Path, format: str) -> None:
         assert message is None or (str(path) in message and "\n" not in message)
 
     check()
+
+
+def test_keys_of_several_kinds_are_refused_in_one_line() -> None:
+    from panobench.cameras.erp import ErpCamera
+
+    with pytest.raises(CalibrationError, match="unknown value '7'"):
+        ErpCamera.from_dict({"model": "erp", "width": 20, "height": 10, 7: 1, "hfov": 10})
