@@ -6,7 +6,7 @@ import numpy as np
 
 from panobench.cameras.base import Array, Camera
 from panobench.cameras.rig import Rig
-from panobench.cameras.rig_panorama import RigPanorama
+from panobench.cameras.rig_panorama import LensCentres, RigPanorama
 from panobench.geometry import so3_log
 
 #: The circle of a panoramic camera's lens reaches this far from its axis, radians: its rows are read over that angle.
@@ -35,7 +35,7 @@ def rig_row_times(rig: Rig, rays: Array) -> Array:
 
     Where the lenses say how long theirs takes, a half is half of the longest readout.
     """
-    nearest = np.argmax(rays @ np.stack([lens.T_rig_lens[:3, 2] for lens in rig.lenses]).T, axis=1)
+    nearest = LensCentres.of(rig).nearest(rays)
     rows, longest = np.zeros(len(rays)), rig.readout_s
     for number, lens in enumerate(rig.lenses):
         own = nearest == number

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.trajectory_io import Row, check_times, parse_floats, read_named_rows, time_unit
+from panobench.datasets.trajectory_io import Row, check_times, is_number, parse_floats, read_named_rows, time_unit
 from panobench.errors import DatasetError
 
 Array = NDArray[np.float64]
@@ -106,7 +106,7 @@ def _read_list(path: Path, images: list[Path]) -> ImageTimes:
     width = len(rows[0].fields)
     column = table.columns.time
     if column is None or column == names or column >= width:
-        column = next((k for k in range(width) if k != names and _is_number(rows[0].fields[k])), 0)
+        column = next((k for k in range(width) if k != names and is_number(rows[0].fields[k])), 0)
     for row in rows:
         if len(row.fields) <= max(column, 0 if names is None else names):
             what = "a time without an image; other rows name theirs" if names is not None else "a row without a time"
@@ -116,7 +116,7 @@ def _read_list(path: Path, images: list[Path]) -> ImageTimes:
     )
     stamps = stamps * (table.columns.unit_s or time_unit(stamps, 1.0))
     if names is None:
-        if width > 1 and not _is_number(rows[0].fields[1]):
+        if width > 1 and not is_number(rows[0].fields[1]):
             raise DatasetError(f"the list names none of the images in {images[0].parent}", path)
         if len(rows) != len(images):
             raise DatasetError(f"the list has {len(rows)} times for {len(images)} images", path)
@@ -150,17 +150,9 @@ def _name_column(rows: list[Row], present: dict[str, Path]) -> int | None:
     found = None
     for k, field in enumerate(rows[0].fields):
         hits = sum(_plain(row.fields[k]) in present for row in rows if k < len(row.fields))
-        if hits == len(rows) or (hits and not _is_number(field)):
+        if hits == len(rows) or (hits and not is_number(field)):
             found = k
     return found if len(rows[0].fields) > 1 else None
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 # -- names -----------------------------------------------------------------------------------------------------------

@@ -125,7 +125,7 @@ def read_table(
     error too (fewer always are).
     """
     rows = read_rows(path, delimiter=delimiter)
-    if header and rows and not _is_number(rows[0].fields[0]):
+    if header and rows and not is_number(rows[0].fields[0]):
         rows = rows[1:]
     values = []
     for row in rows:
@@ -136,7 +136,8 @@ def read_table(
     return np.array(values, dtype=np.float64).reshape(-1, columns), [row.line for row in rows]
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a field of a table is a number."""
     try:
         float(text)
     except ValueError:
@@ -203,7 +204,7 @@ def is_tum(path: Path) -> bool:
     """Whether the first row has the eight numbers of a TUM file; False for what cannot be read."""
     try:
         rows = read_named_rows(path).rows
-        return bool(rows) and len(rows[0].fields) == 8 and all(_is_number(text) for text in rows[0].fields)
+        return bool(rows) and len(rows[0].fields) == 8 and all(is_number(text) for text in rows[0].fields)
     except DatasetError:
         return False
 

@@ -65,7 +65,6 @@ def office(b: Builder, room: Room) -> None:
 
     outer = "south" if any(o.kind == "window" for o in room.openings.get("south", [])) else "north"
     for side in ("south", "north", "west", "east"):
-        items = [Item(1.4, 1.25, 0.8, desk)] if side != outer else []
         if side == outer:
             items = [Item(1.4, 1.25, 0.8, desk), Item(0.8, 0.3, 1.9, lambda q: fu.bookshelf(q, 0.8, 1.9, wood))]
         elif side in ("west", "east"):
@@ -130,8 +129,7 @@ def stairwell(b: Builder, room: Room) -> None:
                 p = (1 - t) * np.array(rail[0]) + t * np.array(rail[1])
                 b.tube([p - [0, 0, RAIL], p], 0.009, edge, sides=5)
         z = full
-        lower = Room(room.x0, y0, room.x1, y1, z - 0.19, {}, stone, stone, stone)
-        fx.ceiling_panel(b, (x1 + lower.x1) / 2, (y0 + y1) / 2, lower.height, 0.3, 1.2, 8.0)
+        fx.ceiling_panel(b, (x1 + room.x1) / 2, (y0 + y1) / 2, z - 0.19, 0.3, 1.2, 8.0)
     b.tube([(x1, y0, z + RAIL), (x1, y1 - FLIGHT, z + RAIL)], 0.022, edge, sides=8)
     for y in np.linspace(y0 + 0.2, y1 - FLIGHT, 14):
         b.tube([(x1, y, z), (x1, y, z + RAIL)], 0.009, edge, sides=5)

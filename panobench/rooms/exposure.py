@@ -20,13 +20,13 @@ AIM, SHARE = 0.3, 0.6
 
 def auto_exposure(scene: Scene, T_wc: NDArray[np.float64], exposure: float) -> NDArray[np.float64]:
     """Factors (N,) on ``exposure`` for frames at T_wc (N, 4, 4), from small renders of the scene."""
-    bundle = render.ray_bundle(ErpCamera(64, 32))
-    rows = np.cos(np.linspace(-np.pi / 2, np.pi / 2, 34)[1:-1])[:, None]
+    camera = ErpCamera(64, 32)
+    bundle, weights = render.ray_bundle(camera), camera.solid_angle()
     measured = np.arange(0, len(T_wc), EVERY)
 
     def brightness(index: int) -> float:
         image = render.radiance(scene, bundle, T_wc[index], gain=exposure, sub=1)
-        return float((image.mean(axis=-1) * rows).sum() / (rows.sum() * image.shape[1]))
+        return float(np.average(image.mean(axis=-1), weights=weights))
 
     with ThreadPoolExecutor(render.worker_count()) as pool:
         seen = np.array(list(pool.map(brightness, measured)))

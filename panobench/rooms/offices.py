@@ -28,6 +28,9 @@ ALONG, EAST = (8.48, 14.0, 19.52), (10.09, 14.91)
 #: Corridors' middles: x of those in the west and east, y of those in the south and north; the stairs' doors.
 WEST_X, EAST_X, SOUTH_Y, NORTH_Y, STAIRS_Y = 6.9, 21.1, 6.5, 18.5, 9.0
 
+#: Middles of the rooms along the southern and the northern corridor.
+ROOM_Y = {"south": 2.6, "north": 22.4}
+
 _WHITE = Material("smooth:236,234,230", 2.5, macro=0.06)
 
 
@@ -35,10 +38,10 @@ def office_building(rng: np.random.Generator) -> Plan:
     """Built, with its cells, and the polyline of the walk."""
     b = Builder(rng, node_spacing=0.16)
     building = Building(b)
-    _add_ground(building, rng)
+    _add_ground(building)
     for storey in (1, 2):
         _add_storey(building, rng, storey)
-    _add_shared(building, rng)
+    _add_shared(building)
     _link_ground(building)
     for storey in range(3):
         _link_storey(building, storey)
@@ -74,7 +77,7 @@ def _windows(room: Room, side: str, count: int, width: float, sill: float = 0.9)
         )
 
 
-def _add_ground(building: Building, rng: np.random.Generator) -> None:
+def _add_ground(building: Building) -> None:
     tiles = Material("tiles:196,190,178", 1.8, gloss=0.04)
     paint = Material("plaster:214,206,190", 2.5, macro=0.3)
     for name, room in _corridors(_WHITE, Material("smooth:170,166,160", 2.5, macro=0.1)).items():
@@ -149,7 +152,7 @@ def _furnishing(rng: np.random.Generator, name: str) -> Furnish:
     return furnish
 
 
-def _add_shared(building: Building, rng: np.random.Generator) -> None:
+def _add_shared(building: Building) -> None:
     """What goes through all storeys."""
     paint = Material("plaster:216,214,206", 2.5, macro=0.3)
     stairs = _room(0.0, 7.76, 5.64, 13.0, paint, Material("stone:150,146,140", 1.5), 2 * STOREY + CEILING)
@@ -185,8 +188,8 @@ def _link_storey(building: Building, storey: int) -> None:
             for closed in (x - 1.84, x + 1.84):
                 room = building.spaces[name(corridor)].room
                 _closed_door(room, corridor, closed)
-        for k, y in ((0, 2.6 if corridor == "south" else 22.4), (1, 2.6 if corridor == "south" else 22.4)):
-            building.link(name(f"{corridor} {k}"), name(f"{corridor} {k + 1}"), y)
+        for k in (0, 1):
+            building.link(name(f"{corridor} {k}"), name(f"{corridor} {k + 1}"), ROOM_Y[corridor])
         for x in (9.6, 12.5, 15.5, 18.4):
             building.link(name(corridor), "court", x, width=1.5, sill=0.9, height=2.2, kind="window")
     for k, y in enumerate(EAST):
@@ -237,7 +240,7 @@ def visit() -> Array:
 
 def _through(side: str) -> list[tuple[float, float]]:
     """From the corridor into the first of three rooms, through all, and out again."""
-    corridor, room = (SOUTH_Y, 2.6) if side == "south" else (NORTH_Y, 22.4)
+    corridor, room = SOUTH_Y if side == "south" else NORTH_Y, ROOM_Y[side]
     return [(ALONG[0], corridor), (ALONG[0], room), (ALONG[1], room), (ALONG[2], room), (ALONG[2], corridor)]
 
 

@@ -14,7 +14,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from panobench.datasets.trajectory_io import MAX_TEXT_BYTES, poses_from_rows
+from panobench.datasets.trajectory_io import MAX_TEXT_BYTES, is_number, poses_from_rows
 from panobench.errors import DatasetError
 from panobench.geometry import invert_pose
 from panobench.reading import read_text
@@ -37,7 +37,7 @@ def is_image_line(fields: list[str]) -> bool:
     """A line that names an image; one of points, or of a matrix, is made of numbers alone."""
     if len(fields) < 10 or not all(text.isascii() and text.isdigit() and len(text) < 12 for text in fields[:9:8]):
         return False
-    return len(fields) == 10 or not all(_is_number(text) for text in fields)
+    return len(fields) == 10 or not all(is_number(text) for text in fields)
 
 
 def read_images(path: Path) -> ColmapImages:
@@ -131,11 +131,3 @@ def _poses(
         )
     T_cw = poses_from_rows(table, path, lines or list(range(len(rows))))
     return ColmapImages(invert_pose(T_cw), tuple(names), tuple(cameras))
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -149,13 +149,17 @@ class Mapper:
 
     def local_depth(self, render: Render) -> float:
         """Median rendered depth, from every fourth row and column; the first map's where nothing is drawn."""
-        depth = render.depth[::4, ::4][(render.opacity[::4, ::4] > 0.5) & (self.weights[::4, ::4] > 0)]
+        depth = render.depth[::4, ::4][self._known(render)]
         return float(np.median(depth)) if depth.size else self.scene_depth
 
     def height(self, render: Render) -> float:
         """The camera's height above what a render shows below it, from every fourth row and column; NaN if unknown."""
-        known = (render.opacity[::4, ::4] > 0.5) & (self.weights[::4, ::4] > 0)
+        known = self._known(render)
         return height_above_ground(self._rays[known], render.depth[::4, ::4][known])
+
+    def _known(self, render: Render) -> Mask:
+        """Where a render has a depth, in every fourth row and column."""
+        return np.asarray((render.opacity[::4, ::4] > 0.5) & (self.weights[::4, ::4] > 0))
 
     def thin(self, render: Render) -> Mask:
         """(H, W): valid pixels whose rendered opacity is below ``seeding.opacity_below``."""

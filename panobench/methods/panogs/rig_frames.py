@@ -5,20 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.rig import Rig
 from panobench.cameras.rig_panorama import LensCentres, LensPictures, RigPanorama
 from panobench.inertial.fusion import Unit
 from panobench.methods.base import MethodContext
+from panobench.methods.lens_scale import is_metric, scale_numbers
 from panobench.methods.panogs.config import PanogsConfig, RollingShutterOptions
 from panobench.methods.panogs.rig_scale import RigScale
 from panobench.types import Frame
-
-#: A scale whose standard deviation is larger than this share is not called metric.
-METRIC_SIGMA = 0.1
 
 
 class RigFrames:
@@ -46,13 +42,8 @@ class RigFrames:
     def unit(self, pixel_angle: float, scene_depth: float) -> Unit | None:
         """The map's unit in metres, if the lenses' distance tells it; arguments as for ``RigScale.sigma``."""
         sigma = self.scale.sigma(pixel_angle, scene_depth)
-        self.numbers = {
-            "lenses": len(self.scale.lenses.centres_m),
-            "scale_from": "the distance between the lenses",
-            "scale_sigma_percent": 100 * sigma if np.isfinite(sigma) else None,
-        }
-        if not sigma <= METRIC_SIGMA:
-            self.context.warn("the rig turned too little for its lenses' distance to tell the scale: it is not metric")
+        self.numbers = scale_numbers(len(self.scale.lenses.centres_m), sigma)
+        if not is_metric(sigma, self.context.warn):
             return None
         metres = 1 / self.scale.lenses.units_per_metre
         self.context.log(f"a unit of the map is {metres:.4g} m by the lenses' distance (+- {sigma:.2%})")

@@ -14,6 +14,7 @@ import numpy as np
 from panobench.cameras.rig_panorama import LensCentres
 from panobench.depth.bootstrap_solve import SWEEP
 from panobench.geometry import invert_pose
+from panobench.methods.lens_scale import BIAS_PX
 from panobench.photometric.bundle import BundleOptions, refine
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import WorkingScale, multi_view_depth, resize_panorama
@@ -22,8 +23,6 @@ from panobench.types import DepthEstimate
 #: Rounds of adjusting the first frames, measuring the lenses' distances and sweeping depth: each depends on the others.
 ROUNDS = 3
 START = BundleOptions(iterations=10, cut=5.0, trim=0.3)
-#: What aligned images may all be off in the same sense, pixels: interpolation pulls them by a few hundredths.
-BIAS_PX = 0.02
 
 
 class RigScale:

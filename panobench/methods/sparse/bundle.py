@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -139,28 +140,43 @@ class BundleResult:
     cost: float
 
 
-class _Observations:
-    """Observations in the order of their points, which the Schur complement needs."""
+class _Observations(NamedTuple):
+    """Observations in the order of their points, which the Schur complement needs: ``order`` (N,) is that order.
 
-    def __init__(
-        self,
-        points: int,
-        keyframe: NDArray[np.int64],
-        point: NDArray[np.int64],
-        bearings: Array,
-        origins: Array | None,
-        fixed: NDArray[np.bool_],
-    ) -> None:
-        self.order = np.lexsort((keyframe, point))
-        self.keyframe = keyframe[self.order].astype(np.int64)
-        self.point = point[self.order].astype(np.int64)
-        self.bearings = np.ascontiguousarray(bearings[self.order], dtype=np.float64)
-        self.origins = origins_of(None if origins is None else origins[self.order], len(self.order))
-        #: Where each point's observations begin (P + 1,).
-        self.first = np.searchsorted(self.point, np.arange(points + 1)).astype(np.int64)
-        #: A keyframe's position among the free poses (K,), -1 if its pose is fixed.
-        self.slot = np.where(fixed, -1, np.cumsum(~fixed) - 1).astype(np.int64)
-        self.free = int((~fixed).sum())
+    keyframe, point (N,), bearings, origins (N, 3). first (P + 1,): where each point's observations begin. slot (K,): a
+    keyframe's position among the ``free`` poses, -1 if its pose is fixed.
+    """
+
+    order: NDArray[np.intp]
+    keyframe: NDArray[np.int64]
+    point: NDArray[np.int64]
+    bearings: Array
+    origins: Array
+    first: NDArray[np.int64]
+    slot: NDArray[np.int64]
+    free: int
+
+
+def _by_point(
+    points: int,
+    keyframe: NDArray[np.int64],
+    point: NDArray[np.int64],
+    bearings: Array,
+    origins: Array | None,
+    fixed: NDArray[np.bool_],
+) -> _Observations:
+    order = np.lexsort((keyframe, point))
+    sorted_points = point[order].astype(np.int64)
+    return _Observations(
+        order,
+        keyframe[order].astype(np.int64),
+        sorted_points,
+        np.ascontiguousarray(bearings[order], dtype=np.float64),
+        origins_of(None if origins is None else origins[order], len(order)),
+        np.searchsorted(sorted_points, np.arange(points + 1)).astype(np.int64),
+        np.where(fixed, -1, np.cumsum(~fixed) - 1).astype(np.int64),
+        int((~fixed).sum()),
+    )
 
 
 def bundle_adjust(
@@ -180,16 +196,7 @@ def bundle_adjust(
     Observation n: keyframe[n] saw point[n] along the unit vector bearings[n], which begins at origins[n] in the
     keyframe's axes (None: at its centre). Observations can be in any order.
     """
-    obs = _Observations(len(points), keyframe, point, bearings, origins, fixed)
-    kf, pt, b, o, first, slot, free = (
-        obs.keyframe,
-        obs.point,
-        obs.bearings,
-        obs.origins,
-        obs.first,
-        obs.slot,
-        obs.free,
-    )
+    order, kf, pt, b, o, first, slot, free = _by_point(len(points), keyframe, point, bearings, origins, fixed)
     R, t = np.ascontiguousarray(T_cw[:, :3, :3]), np.ascontiguousarray(T_cw[:, :3, 3])
     X = np.ascontiguousarray(points, dtype=np.float64).copy()
     Hc, gc = np.empty((free, 6, 6)), np.empty((free, 6))
@@ -228,7 +235,7 @@ def bundle_adjust(
     errors = np.empty(len(kf))
     all_errors(R, t, kf, pt, X, o, b, focal, errors)
     out = np.empty_like(errors)
-    out[obs.order] = errors
+    out[order] = errors
     T = np.tile(np.eye(4), (len(T_cw), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R, t
     return BundleResult(renormalise(T), X.copy(), out, cost)
@@ -249,16 +256,7 @@ def pose_information(
 
     Arguments as for ``bundle_adjust``. In squared pixels: divided by the residuals' variance it is the information.
     """
-    obs = _Observations(len(points), keyframe, point, bearings, origins, fixed)
-    kf, pt, b, o, first, slot, free = (
-        obs.keyframe,
-        obs.point,
-        obs.bearings,
-        obs.origins,
-        obs.first,
-        obs.slot,
-        obs.free,
-    )
+    _, kf, pt, b, o, first, slot, free = _by_point(len(points), keyframe, point, bearings, origins, fixed)
     count = len(points)
     R, t = np.ascontiguousarray(T_cw[:, :3, :3]), np.ascontiguousarray(T_cw[:, :3, 3])
     X = np.ascontiguousarray(points, dtype=np.float64)

@@ -22,6 +22,7 @@ from panobench.inertial.fusion import Unit
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.ground import height_above_ground
+from panobench.methods.lens_scale import is_metric, scale_numbers
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.faces import FaceSet, build_faces, levels_for
 from panobench.methods.sparse.initialise import Initialiser, solve_initial_frame
@@ -39,7 +40,7 @@ from panobench.methods.sparse.refine import correct_shutter, refined_poses
 from panobench.methods.sparse.relocalise import relocalise
 from panobench.methods.sparse.rig_faces import RigFaces, build_rig_faces
 from panobench.methods.sparse.rotation import RotationFinder
-from panobench.methods.sparse.scale import METRIC_SIGMA, adjust_scale, is_due, scale_sigma
+from panobench.methods.sparse.scale import adjust_scale, is_due, scale_sigma
 from panobench.methods.sparse.session import Session
 from panobench.methods.sparse.stitched import undo_stitching
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame, update_candidates
@@ -325,14 +326,11 @@ class SparseMethod(OnlineMethod):
     def _judge_scale(self, m: PointMap, extra: dict[str, Any]) -> bool:
         """Say in ``extra`` how certain the scale is; whether that is enough to call it metric."""
         sigma = scale_sigma(m, self.config, self.face_set.focal)
-        extra["lenses"] = len(m.lenses.centres)
-        extra["scale_from"] = "the distance between the lenses"
-        extra["scale_sigma_percent"] = 100 * sigma if np.isfinite(sigma) else None
-        if sigma <= METRIC_SIGMA:
+        extra.update(scale_numbers(len(m.lenses.centres), sigma))
+        metric = is_metric(sigma, self.context.warn)
+        if metric:
             self.context.log(f"the scale is metric, give or take {100 * sigma:.2g}% (one standard deviation)")
-            return True
-        self.context.warn("the rig turned too little for its lenses' distance to tell the scale: it is not metric")
-        return False
+        return metric
 
     def _metric(
         self, session: Session, poses: dict[int, Array], sessions: list[Session], unit: Unit | None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.methods.lens_scale import BIAS_PX
 from panobench.methods.sparse.bundle import pose_information
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.mapping import adjust_window, observations
@@ -20,12 +21,8 @@ Array = NDArray[np.float64]
 
 #: All keyframes are adjusted when there are so many, and whenever they have become half as many again.
 FIRST, GROWTH = 6, 1.5
-#: A scale whose standard deviation is larger than this share is not called metric.
-METRIC_SIGMA = 0.1
-#: Where it is larger than this the scale stays what it is.
+#: Where the standard deviation is a larger share of the scale than this, it stays what it is.
 FREE_SIGMA = 0.3
-#: What aligned patches may all be off in the same sense, pixels: interpolation pulls them by a few hundredths.
-BIAS_PX = 0.02
 
 
 def is_due(keyframes: int) -> bool:
