@@ -126,6 +126,8 @@ def apply_mask(
         if found.frames and frame_masks:
             sequence.hide_in_frames(found.frames)
             record.frames = len(found.frames)
+        elif found.whole is not None:
+            valid = found.whole
         elif found.frames:
             valid = valid & np.all(list(found.frames.values()), axis=0)
         if not (before & valid).any():

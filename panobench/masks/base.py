@@ -22,6 +22,7 @@ class MaskEstimate:
     frames:  by frame index, masks (H, W) of single frames, which hide more; others show the scene wherever ``valid``.
     ok:      False: it could not tell, and ``valid`` is all the camera sees; ``message`` says why in one line.
     details: JSON-serialisable numbers for run.json.
+    whole:   (H, W) bool, ``valid`` for methods that honour no masks of single frames; None: what all of these show.
     """
 
     valid: NDArray[np.bool_]
@@ -29,6 +30,7 @@ class MaskEstimate:
     ok: bool = True
     message: str = ""
     details: dict[str, Any] = field(default_factory=dict)
+    whole: NDArray[np.bool_] | None = None
 
 
 class MaskEstimator(ABC):

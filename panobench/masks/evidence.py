@@ -71,7 +71,7 @@ class Searcher:
     """Compares frames on a panorama ``width`` pixels wide."""
 
     def __init__(self, width: int) -> None:
-        self.panorama, self._half, self._coarse = Panorama(width), Panorama(width // 2), Panorama(16)
+        self.panorama, self.half, self._coarse = Panorama(width), Panorama(width // 2), Panorama(16)
         self._seen: Image | None = None
 
     def only_where(self, seen: NDArray[np.bool_]) -> None:
@@ -80,9 +80,13 @@ class Searcher:
 
     def small(self, image: NDArray[np.uint8]) -> Small:
         """Of an RGB panorama of the right size."""
+        return Small(self.panorama.normalised(image.astype(np.float32)), self.half_of(image))
+
+    def half_of(self, image: NDArray[np.uint8]) -> Image:
+        """The half size of an RGB panorama of the right size, normalised."""
         x = image.astype(np.float32)
-        half = cv2.resize(x, (self._half.width, self._half.height), interpolation=cv2.INTER_AREA)
-        return Small(self.panorama.normalised(x), self._half.normalised(np.asarray(half, dtype=np.float32)))
+        half = cv2.resize(x, (self.half.width, self.half.height), interpolation=cv2.INTER_AREA)
+        return self.half.normalised(np.asarray(half, dtype=np.float32))
 
     def votes(self, a: Small, b: Small, pair: Pair) -> tuple[Array, Array]:
         """Votes (H, W) of the directions in frame a, and the weights they had."""
@@ -164,7 +168,7 @@ class Searcher:
 
     def _swaying(self, a: Image, b: Image) -> Image:
         """Least cost of moving a little, at full size."""
-        h = self._half
+        h = self.half
         least = np.full((h.height, h.width), np.inf, dtype=np.float32)
         for dy in range(-SWAY, SWAY + 1):
             for dx in range(-SWAY, SWAY + 1):

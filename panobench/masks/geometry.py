@@ -1,24 +1,31 @@
 """``geometry``: what does not move as the rigid scene does while the camera moves.
 
 A few pairs of frames, spread over the sequence, with the camera's motion between them (``pairs``); per pair every
-direction votes (``evidence``); the votes of all pairs add up in the camera's axes, for what carries the camera is
-always in about the same direction there, and become a mask (``region``).
+direction votes (``evidence``); the votes of all pairs add up, for what carries the camera is always in about the same
+direction, and become a mask (``region``). They add up in the picture's axes, or in those of the carrier (``turning``)
+if they agree plainly better there; then every frame has a mask of its own.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import FrameSequence
 from panobench.errors import UnsupportedError
+from panobench.geometry import so3_log
 from panobench.masks.base import MaskEstimate, MaskEstimator
 from panobench.masks.evidence import Searcher, Small
 from panobench.masks.pairs import Faces, Pair, find_pair
+from panobench.masks.panorama import Panorama
 from panobench.masks.region import grown, hidden_region, to_camera
+from panobench.masks.turning import follow_carrier, interpolated
 from panobench.methods.sparse.faces import FaceSet, build_faces
 
 Array = NDArray[np.float64]
@@ -33,6 +40,13 @@ BORDER = 8
 LEAST, MOST = 0.003, 0.7
 #: Fewer pairs with motion than these say nothing.
 ENOUGH = 2
+#: Frames on which a carrier is followed, at most, and seconds between two of them, at most.
+MOST_FOLLOWED, LONGEST_STEP = 600, 0.3
+#: Radians by which it must turn for frames to get masks of their own, and the most that its look may differ from what
+#: it was, over how much it would if it stayed in place. Anybody who walks sways by some ten degrees.
+LEAST_TURN, MOST_APART = np.deg2rad(25), 0.85
+#: Frames by which it is told what is always hidden.
+SOME_FRAMES = 60
 
 
 class GeometryMask(MaskEstimator):
@@ -51,9 +65,10 @@ class GeometryMask(MaskEstimator):
         if len(pairs) < ENOUGH:
             message = "the camera hardly moves, so nothing can be told"
             return MaskEstimate(everything, ok=False, message=message, details=details)
-        votes, weights = frames.votes(pairs)
+        votes = frames.votes(pairs)
         panorama = frames.searcher.panorama
-        hidden = to_camera(panorama, hidden_region(panorama, votes, weights), camera.rays())
+        region = hidden_region(panorama, *summed(votes))
+        hidden = to_camera(panorama, region, camera.rays())
         share = view_share(camera.with_mask(None).solid_angle(), hidden)
         if share > MOST:
             message = f"{share:.0%} of the view does not move as a rigid scene: nothing was hidden"
@@ -61,7 +76,68 @@ class GeometryMask(MaskEstimator):
         if share < LEAST:
             return MaskEstimate(everything, message="nothing moves with the camera", details=details)
         message = f"{share:.1%} of the view moves with the camera"
-        return MaskEstimate(everything & ~hidden, message=message, details=details)
+        turns = frames.turns(votes, region)
+        if turns is None:
+            return MaskEstimate(everything & ~hidden, message=message, details=details)
+        masks = TurnedMasks(panorama, hidden_region(panorama, *summed(votes, turns, panorama)), camera.rays(), turns)
+        always = np.all([~masks[i] for i in range(0, len(turns), max(len(turns) // SOME_FRAMES, 1))], axis=0)
+        angle = float(np.degrees(max(np.linalg.norm(so3_log(R)) for R in turns)))
+        message += f" and turns in the picture, by up to {angle:.0f} degrees: each frame has a mask of its own"
+        details["turned_deg"] = round(angle, 1)
+        return MaskEstimate(everything & ~always, masks, True, message, details, everything & ~hidden)
+
+
+@dataclass(frozen=True)
+class Votes:
+    """Votes and their weights (H, W) of the directions in frame ``index``.
+
+    lasting: by two frames far apart, and so in the picture's axes alone.
+    """
+
+    index: int
+    votes: Array
+    weights: Array
+    lasting: bool = False
+
+
+def summed(
+    votes: list[Votes], turns: list[Array] | None = None, panorama: Panorama | None = None
+) -> tuple[Array, Array]:
+    """Sums (H, W) of votes and of weights: in the picture's axes, or in the carrier's by its turns in all frames."""
+    total, weights = np.zeros_like(votes[0].votes), np.zeros_like(votes[0].weights)
+    for one in votes:
+        if turns is None or panorama is None:
+            total, weights = total + one.votes, weights + one.weights
+        else:
+            if one.lasting:
+                continue
+            both = np.stack([one.votes, one.weights], axis=-1).astype(np.float32)
+            turned = panorama.at(both, panorama.rays @ turns[one.index].T)
+            total, weights = total + turned[..., 0], weights + turned[..., 1]
+    return total, weights
+
+
+def agreement(total: Array, weights: Array) -> float:
+    """How far votes agree with each other, direction by direction: 1 where none contradicts another."""
+    return float(np.abs(total).sum() / max(float(weights.sum()), 1e-12))
+
+
+class TurnedMasks(Mapping[int, NDArray[np.bool_]]):
+    """By frame, where it shows the scene (H, W): a region of the carrier's axes hides the rest, as it lies there."""
+
+    def __init__(self, panorama: Panorama, region: NDArray[np.bool_], rays: Array, turns: list[Array]) -> None:
+        self._panorama, self._region, self._rays, self._turns = panorama, region, rays, turns
+
+    def __getitem__(self, index: int) -> NDArray[np.bool_]:
+        if index not in range(len(self._turns)):
+            raise KeyError(index)
+        return ~to_camera(self._panorama, self._region, self._rays @ self._turns[index])
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(len(self._turns)))
+
+    def __len__(self) -> int:
+        return len(self._turns)
 
 
 class _Frames:
@@ -91,22 +167,44 @@ class _Frames:
                 found.append(pair)
         return found
 
-    def votes(self, pairs: list[Pair]) -> tuple[Array, Array]:
-        """Sums (H, W) over the pairs, both ways, of votes and of their weights."""
-        shape = self.visible.shape
-        votes, weights = np.zeros(shape), np.zeros(shape)
+    def votes(self, pairs: list[Pair]) -> list[Votes]:
+        """Of each pair, both ways."""
+        found = []
         for pair in pairs:
             for way in (pair, pair.reversed()):
                 v, w = self.searcher.votes(self._small_of(way.first), self._small_of(way.second), way)
-                votes += np.where(self.visible, v, 0.0)
-                weights += np.where(self.visible, w, 0.0)
+                found.append(Votes(way.first, np.where(self.visible, v, 0.0), np.where(self.visible, w, 0.0)))
         for early, late in zip(pairs, pairs[len(pairs) // 2 :]):
             if late.first > early.first:
                 a, b = self._small_of(early.first), self._small_of(late.first)
                 v, w = self.searcher.lasting(a, b, (early.t, late.t))
-                votes += np.where(self.visible, v, 0.0)
-                weights += np.where(self.visible, w, 0.0)
-        return votes, weights
+                found.append(Votes(early.first, np.where(self.visible, v, 0.0), np.where(self.visible, w, 0.0), True))
+        return found
+
+    def turns(self, votes: list[Votes], region: NDArray[np.bool_]) -> list[Array] | None:
+        """R (3, 3) by frame, from the carrier's axes to the picture's; None where votes agree as well in the latter.
+
+        region (H, W): where the carrier is, by votes in the picture's axes.
+        """
+        count = len(self.sequence)
+        interval = float(np.median(np.diff(self.sequence.times)))
+        step = max(count // MOST_FOLLOWED, int(LONGEST_STEP / interval), 1)
+        if not self.visible.all() or (step > 1 and step * interval > LONGEST_STEP):
+            return None  # a mask that turns would leave the view; or frames are too far apart to follow anything
+        small = self.searcher.half
+        where = cv2.resize(region.view(np.uint8), (small.width, small.height), interpolation=cv2.INTER_NEAREST) > 0
+        if not where.any():
+            return None
+        wanted = {*range(0, count, step), count - 1}
+        halves = {i: self.searcher.half_of(self._reprojector.image(self.sequence.image(i))) for i in sorted(wanted)}
+        middle = min(halves, key=lambda i: abs(i - count // 2))
+        followed = follow_carrier(small, halves, where, middle)
+        if followed.angle < LEAST_TURN or followed.apart > MOST_APART:
+            return None
+        turns = interpolated(followed.turns, count)
+        votes = [one for one in votes if not one.lasting]
+        better = agreement(*summed(votes, turns, self.searcher.panorama)) > agreement(*summed(votes))
+        return turns if better else None
 
     def _look(self, index: int) -> Faces:
         if index not in self._faces:

@@ -155,10 +155,13 @@ def test_masks_of_single_frames_reach_who_honours_them_and_are_joined_for_others
     one[:8], two[:, :16] = False, False
 
     class Frames(MaskEstimator):
-        def estimate(self, sequence: FrameSequence, seed: int = 0) -> MaskEstimate:
-            return MaskEstimate(~LOWER, {1: one, 2: two})
+        whole: np.ndarray | None = None
 
-    def applied(frame_masks: bool) -> ChosenFrames:
+        def estimate(self, sequence: FrameSequence, seed: int = 0) -> MaskEstimate:
+            return MaskEstimate(~LOWER, {1: one, 2: two}, whole=self.whole)
+
+    def applied(frame_masks: bool, whole: np.ndarray | None = None) -> ChosenFrames:
+        Frames.whole = whole
         sequence = ChosenFrames(TinySequence(erp_camera(128), n=4))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(masking, "Frames", Frames, raising=False)
@@ -169,6 +172,7 @@ def test_masks_of_single_frames_reach_who_honours_them_and_are_joined_for_others
     joined = applied(False)
     assert np.array_equal(joined.camera.valid_mask(), ~LOWER & one & two)
     assert FrameReader(joined)(1).mask is None
+    assert np.array_equal(applied(False, ~LOWER & one).camera.valid_mask(), ~LOWER & one)
     single = applied(True)
     assert np.array_equal(single.camera.valid_mask(), ~LOWER)
     read = FrameReader(single)
