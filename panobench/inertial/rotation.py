@@ -74,9 +74,10 @@ def fit_rotation(visual: VisualPoses, samples: Samples) -> RotationFit:
     """
     turns = _camera_turns(visual)
     R_cb = samples.T_body_cam[:3, :3].T
-    offset = _search_offset(turns, samples)
-    _judge(turns, samples, R_cb, offset)
-    return _refine(_turns_of(visual, overlapping_pairs(visual, LONG_SPAN_S)), samples, R_cb, offset)
+    offset = _search_offset(_covered(turns, samples, OFFSET_MAX_S), samples)
+    _judge(_covered(turns, samples.shifted(offset)), samples, R_cb, offset)
+    long_turns = _turns_of(visual, overlapping_pairs(visual, LONG_SPAN_S))
+    return _refine(_covered(long_turns, samples.shifted(offset)), samples, R_cb, offset)
 
 
 def _turns_of(visual: VisualPoses, chosen: NDArray[np.int64]) -> _Turns:
@@ -94,6 +95,16 @@ def _camera_turns(visual: VisualPoses) -> _Turns:
     if size < TURNING_MIN_DEG_S:
         raise TooLittleMotionError(f"the camera turns by {size:.1f} degrees/s, too little to compare it with the IMU")
     return turns
+
+
+def _covered(turns: _Turns, samples: Samples, margin_s: float = 0.0) -> _Turns:
+    """Those during which, and for ``margin_s`` around, the samples have no gap; all of them if these are too few."""
+    if samples.usable.all():
+        return turns
+    kept = samples.covers(turns.begin - margin_s, turns.end + margin_s)
+    if kept.sum() < PAIRS_MIN:
+        return turns
+    return _Turns(turns.camera[kept], turns.begin[kept], turns.end[kept])
 
 
 class _Integral:

@@ -70,6 +70,17 @@ def test_a_mistake_is_said_in_one_line(mistake: str) -> None:
     assert not isinstance(caught.value, TooLittleMotionError)
 
 
+def test_a_long_gap_contradicts_nothing() -> None:
+    imu, whole = recording().imu, recording().imu.times
+    kept = (whole < whole[0] + 4.0) | (whole > whole[0] + 11.0)
+    cut = Imu(imu.times[kept], imu.gyro[kept], imu.accel[kept], imu.T_body_cam)
+    visual = seen(recording())
+    samples = usable_samples(cut, visual.times)
+    assert any("gap" in remark for remark in samples.remarks)
+    found = fit_rotation(visual, samples)
+    assert found.offset_s == pytest.approx(fit_rotation(visual, usable_samples(imu)).offset_s, abs=0.002)
+
+
 def test_levelled_video_is_told_from_the_imu() -> None:
     visual = seen(recording(), noise_deg=0.0, drift_deg=0.0, noise_m=0.0, drift_m=0.0)
     T = recording().truth.copy()  # cameras as they were, but for roll and pitch
