@@ -98,9 +98,7 @@ def _camera_turns(visual: VisualPoses) -> _Turns:
 
 
 def _covered(turns: _Turns, samples: Samples, margin_s: float = 0.0) -> _Turns:
-    """Those during which, and for ``margin_s`` around, the samples have no gap; all of them if these are too few."""
-    if samples.usable.all():
-        return turns
+    """Those that the samples cover without a gap, and ``margin_s`` around them; all of them if these are too few."""
     kept = samples.covers(turns.begin - margin_s, turns.end + margin_s)
     if kept.sum() < PAIRS_MIN:
         return turns

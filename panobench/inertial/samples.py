@@ -24,6 +24,8 @@ GAP_INTERVALS, GAP_S = 4.0, 0.03
 SATURATED_RUN = 3
 #: No sensor's range ends below this: rad/s, m/s^2.
 GYRO_RANGE, ACCEL_RANGE = 1.5, 1.8 * STANDARD_GRAVITY
+#: Share of the frames' time that samples have to cover, and share below which it is said.
+COVERED_MIN, COVERED_ALL = 0.5, 0.95
 #: Share of saturated samples from which the samples are not used.
 SATURATED_MAX = 0.02
 #: White noise is taken for at least this: rad/s/sqrt(Hz) and m/s^2/sqrt(Hz).
@@ -114,7 +116,7 @@ def usable_samples(imu: Imu, frame_times: Array | None = None) -> Samples:
     if step > 1 / RATE_MIN:
         raise InertialError(f"the IMU has {1 / step:.0f} samples a second; {RATE_MIN:.0f} are the least that help")
     if frame_times is not None:
-        _check_overlap(times, frame_times)
+        _check_overlap(times, frame_times, remarks)
     accel = _in_si(accel, remarks)
     saturated = _saturated(gyro, GYRO_RANGE) | _saturated(accel, ACCEL_RANGE)
     if saturated.mean() > SATURATED_MAX:
@@ -132,9 +134,12 @@ def usable_samples(imu: Imu, frame_times: Array | None = None) -> Samples:
     return Samples(times, gyro, accel, T_body_cam, gravity, noise, usable, tuple(remarks))
 
 
-def _check_overlap(times: Array, frame_times: Array) -> None:
+def _check_overlap(times: Array, frame_times: Array, remarks: list[str]) -> None:
     overlap = min(times[-1], frame_times[-1]) - max(times[0], frame_times[0])
-    if overlap < 0.5 * (frame_times[-1] - frame_times[0]):
+    span = frame_times[-1] - frame_times[0]
+    if COVERED_MIN * span <= overlap < COVERED_ALL * span:
+        remarks.append(f"the IMU's samples cover {overlap / span:.0%} of the time of the frames")
+    if overlap < COVERED_MIN * span:
         raise InertialError(
             f"the IMU's samples are from {times[0]:.2f} to {times[-1]:.2f} s, the frames from {frame_times[0]:.2f} to "
             f"{frame_times[-1]:.2f} s: less than half is covered"
