@@ -16,7 +16,7 @@ class SparseConfig(Options):
         1_000_000, "most pixels of all tangent faces together; larger images are reduced", unit="px", above=0
     )
     levels: int = option(0, "pyramid levels of the patch alignment; 0: by the resolution")
-    huber_px: float = option(1.0, "residual from which the Huber loss is linear", unit="px", above=0)
+    huber_px: float = option(0.2, "residual from which the Huber loss is linear", unit="px", above=0)
     min_zncc: float = option(0.75, "least correlation of an aligned patch with its template", minimum=-1, maximum=1)
     init_parallax: float = option(
         1.5, "median parallax of the tracks, rotation removed, before two views are tried", unit="deg"

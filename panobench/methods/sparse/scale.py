@@ -69,7 +69,8 @@ def independent_sigma(m: PointMap, config: SparseConfig, focal: float) -> float:
     """The same if the errors of all measurements were independent.
 
     From the information of all poses with the first one fixed, points eliminated; the scale is taken to be the
-    logarithm of ``spread``. The residuals' deviation is that of their median, as of a Rayleigh distribution.
+    logarithm of ``spread``. The residuals' deviation is that of their median, as of a Rayleigh distribution. Residuals
+    up to three of it inform fully: Huber's estimate is nearly as good as least squares' is without outliers.
     """
     seen = observations(m.keyframes, m.state == ACTIVE)
     if seen is None or len(m.keyframes) < 3 or not m.lenses.several:
@@ -79,15 +80,16 @@ def independent_sigma(m: PointMap, config: SparseConfig, focal: float) -> float:
     T, origins = m.poses(), m.lenses.origins(b)
     assert origins is not None
     fixed = np.arange(len(T)) == 0
-    S = pose_information(T, m.position[ids], kf, local, b, fixed, focal, config.huber_px, origins)
-    away = m.centres() - m.centres()[0]
-    u = np.zeros((len(T), 6))
-    u[:, :3] = -np.einsum("kij,kj->ki", T[:, :3, :3], away) / max(float((away**2).sum()), 1e-18)
-    direction = u[1:].ravel()
     errors = np.concatenate(
         [pose_errors(T[k], m.position[pt[kf == k]], b[kf == k], focal, origins[kf == k]) for k in range(len(T))]
     )
     sigma = float(np.median(errors)) / 1.1774
+    whole = max(config.huber_px, 3 * sigma)
+    S = pose_information(T, m.position[ids], kf, local, b, fixed, focal, whole, origins)
+    away = m.centres() - m.centres()[0]
+    u = np.zeros((len(T), 6))
+    u[:, :3] = -np.einsum("kij,kj->ki", T[:, :3, :3], away) / max(float((away**2).sum()), 1e-18)
+    direction = u[1:].ravel()
     try:
         variance = float(direction @ np.linalg.solve(S, direction))
     except np.linalg.LinAlgError:
