@@ -28,6 +28,9 @@ ALIKE = 0.07
 #: Frames asked whether something has changed, and the fewest that can tell; the share that must have seen it as it was,
 #: and the most that may have seen it as it is.
 SAMPLE, FEWEST, OFTEN = 20, 6, 0.3
+#: If the camera passed by further than this within the fewest frames, in depths, they cannot tell: a young map whose
+#: depth is still wrong looked right from where it was made, and looks different a few steps on.
+PASSED_DEPTHS = 0.25
 
 
 @dataclass(frozen=True)
@@ -76,10 +79,20 @@ class FrameVotes:
         if count < FEWEST or not small.any():
             return 0.0
         depth, drawn = self.small(render.expected_depth(0.5)), self.soft(np.ascontiguousarray(255 * render.colour))
+        if self._passed(T_wc, depth):
+            return 0.0
         as_drawn = self.count(T_wc, small, depth, drawn, every)
         as_seen = self.count(T_wc, small, depth, self.soft(image), every)
         changed = (as_drawn > OFTEN * count) & (as_seen < OFTEN * count)
         return float(self._area[small][changed].sum())
+
+    def _passed(self, T_wc: NDArray[np.float64], depth: NDArray[np.float32]) -> bool:
+        """Whether the camera has come far within the last frames. depth (h, w): what it sees now."""
+        before = self.trajectory.get(self._frames[-FEWEST].index)
+        known = depth[np.isfinite(depth)]
+        if before is None or not known.size:
+            return False
+        return float(np.linalg.norm(T_wc[:3, 3] - before[:3, 3])) > PASSED_DEPTHS * float(np.median(known))
 
     def count(
         self,

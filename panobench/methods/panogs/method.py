@@ -138,8 +138,9 @@ class PanogsMethod(OnlineMethod):
         """Track, judge, record, map, next job."""
         began = time.perf_counter()
         gaussians = self.mapper.map.gaussians
-        frame, tracked = self._track(frame)
-        trusted = self.relocaliser.judge(tracked, gaussians, self.trajectory.keyframes)
+        expected = self.inertial.expect(frame.time)
+        frame, tracked = self._track(frame, expected)
+        trusted = self.relocaliser.judge(tracked, gaussians, self.trajectory.keyframes, expected)
         if trusted is None:
             self._enter(Phase.LOST)
             self.shutter.forget()
@@ -163,12 +164,14 @@ class PanogsMethod(OnlineMethod):
         self.inertial.tracked(frame.index, frame.time)
         self._note(frame, mapping_s=time.perf_counter() - began - tracking_s)
 
-    def _track(self, frame: Frame) -> tuple[Frame, Tracked]:
-        """Align the frame to the map; the frame as a global shutter with one centre would have seen it."""
+    def _track(self, frame: Frame, expected: Pose | None) -> tuple[Frame, Tracked]:
+        """Align the frame to the map; the frame as a global shutter with one centre would have seen it.
+
+        expected (4, 4): by an IMU.
+        """
         gaussians, given, rate = self.mapper.map.gaussians, frame, self.shutter.predicted_rate(frame.index)
         if self.shutter.enabled:
             frame = replace(frame, image=self.rectifier.turned(given.image, rate))
-        expected = self.inertial.expect(frame.time)
         if expected is not None:
             if self.relocaliser.lost_for:  # the last render may be of far away
                 self.tracker.restart(expected)
@@ -352,7 +355,7 @@ class PanogsMethod(OnlineMethod):
         self.lag.buffer.clear()
         self.graph.reverse()
         self.tracker.restart(self.trajectory.keyframes[0].T_wc)
-        self.relocaliser.interrupted()
+        self.relocaliser.elsewhere()
         for frame in reversed(self.before_first):
             estimated = self.trajectory.pop(frame.index)
             self._process(frame)

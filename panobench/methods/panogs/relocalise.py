@@ -2,8 +2,8 @@
 
 A frame whose residuals are usual is not checked further. Others are compared with the map block by block
 (``agreement``). If too little agrees, alignment starts again from other poses: the last good one, yawed as thumbnails
-say, and the keyframes that look most alike. The best pose that the map explains is taken; without one the camera is
-lost.
+say, and the keyframes that look most alike. The best pose that the map explains, and that the camera can have reached
+since its last one, is taken; without one the camera is lost.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.agreement import COARSE, FINE, agreement
 from panobench.methods.panogs.config import RelocalisationOptions
 from panobench.methods.panogs.place_recognition import Places, yawed
+from panobench.methods.panogs.reach import Reach
 from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import WorldMotion
 from panobench.methods.splatting.views import View
@@ -43,6 +44,7 @@ class Relocaliser:
         # Exposure may have changed since a place was mapped.
         self.align_options = replace(tracker.align_options, exposure=True)
         self.usual: deque[float] = deque(maxlen=options.usual_frames)
+        self.reach = Reach(options.usual_frames)
         self.lost_for = 0
         self.agreed = 0.0
         self._good: tuple[Pose, F32] | None = None
@@ -51,9 +53,17 @@ class Relocaliser:
         """A frame had no pose: the next one is checked whatever its residuals are."""
         self.lost_for += 1
 
-    def judge(self, tracked: Tracked, gaussians: GaussianMap, keyframes: Sequence[View]) -> Tracked | None:
+    def elsewhere(self) -> None:
+        """The next frame does not follow the last one."""
+        self.lost_for += 1
+        self._good = None
+
+    def judge(
+        self, tracked: Tracked, gaussians: GaussianMap, keyframes: Sequence[View], expected: Pose | None = None
+    ) -> Tracked | None:
         """``tracked`` if it can be trusted, else what a search finds, else None: the camera is lost.
 
+        expected (4, 4): where an IMU expects the camera, None if nothing is known.
         Sets the tracker's state to what it returns, or to the last pose that was trusted.
         """
         o = self.options
@@ -64,7 +74,7 @@ class Relocaliser:
         if not (usual and tracked.good):
             checked = self._checked(tracked, gaussians, o.agree_lost if self.lost_for else o.agree_tracked)
             if checked is None:
-                return self._search(tracked, gaussians, keyframes)
+                return self._search(tracked, gaussians, keyframes, expected)
             tracked = checked
         self._accept(tracked, residual)
         return tracked
@@ -91,17 +101,28 @@ class Relocaliser:
         if self._good is not None:
             self._good = (motion.newest @ self._good[0], self._good[1])
 
+    def _reachable(self, found: Tracked, expected: Pose | None) -> bool:
+        if self._good is None or self.strict:
+            return True
+        depth = float(np.median(found.render.depth[self.tracker.valid]))
+        return self.reach.allows(self._good[0], found.T_wc, self.lost_for + 1, depth, expected)
+
     def _accept(self, tracked: Tracked, residual: float) -> None:
         self.usual.append(residual)
+        if self._good is not None:
+            self.reach.record(self._good[0], tracked.T_wc, self.lost_for + 1)
         self.lost_for = 0
         self._good = (tracked.T_wc, self.tracker.pyramid[-1])
 
-    def _search(self, tracked: Tracked, gaussians: GaussianMap, keyframes: Sequence[View]) -> Tracked | None:
+    def _search(
+        self, tracked: Tracked, gaussians: GaussianMap, keyframes: Sequence[View], expected: Pose | None
+    ) -> Tracked | None:
         frame = self.tracker.pyramid
         best, most = None, self.options.agree_entry if self.strict else self.options.agree_lost
         for start in self._starts(frame[-1], keyframes):
             found = self.descend(frame, gaussians, start)
-            share = self._agreement(found.render) if found.good else 0.0
+            possible = found.good and self._reachable(found, expected)
+            share = self._agreement(found.render) if possible else 0.0
             if share >= most:
                 best, most = found, share
                 self.agreed = share

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from panogs_options import configured
@@ -9,12 +12,14 @@ from panogs_options import configured
 from panobench.datasets.disturb import Disturbances, Disturber
 from panobench.datasets.rooms import RoomsDataset
 from panobench.depth.simple import OracleDepth
+from panobench.geometry import make_pose
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.frame_votes import FrameVotes
 from panobench.methods.panogs.method import PanogsMethod
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
+from panobench.testing.sequences import erp_camera
 from panobench.types import Frame
 
 WIDTH, FRAMES = 128, 40
@@ -88,3 +93,22 @@ def test_the_frames_vote_for_the_scene_and_not_for_what_one_of_them_shows() -> N
     assert np.mean(for_other > for_scene) < 0.05
     nowhere = votes.count(truth.T_wc[5], where, np.full_like(depth, np.nan), seen)
     assert nowhere.max() == 0
+
+
+@pytest.mark.parametrize(("step", "told"), [(0.02, True), (0.04, True), (0.06, False), (0.3, False)])
+def test_frames_that_passed_by_quickly_cannot_tell_what_moved(step: float, told: bool) -> None:
+    """A map whose depth is still wrong looks like something that moved to a camera that is elsewhere already."""
+    camera = erp_camera(WIDTH)
+    grey, depth = np.full((WIDTH // 2, WIDTH, 3), 100, np.uint8), np.full((WIDTH // 2, WIDTH), 2.0, np.float32)
+    trajectory, poses = AnchoredTrajectory(), [make_pose(np.eye(3), [2.0 * step * i, 0.0, 0.0]) for i in range(9)]
+    first = View(0, grey, poses[0])
+    trajectory.add_keyframe(first, 0.0)
+    votes = FrameVotes(camera, trajectory)
+    for i, T_wc in enumerate(poses):
+        trajectory.add(i, i / 10, T_wc, first)
+        votes.add(Frame(i, i / 10, grey))
+    render: Any = SimpleNamespace(expected_depth=lambda least: depth, colour=grey / np.float32(255))
+    everywhere = np.ones(depth.shape, bool)
+    changed = votes.moved(poses[-1], render, grey + np.uint8(100), everywhere)
+    assert (changed > 0.9) is told
+    assert (changed == 0.0) is not told

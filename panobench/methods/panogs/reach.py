@@ -1,0 +1,48 @@
+"""Whether the camera can have come to a pose since its last one: rooms that look alike are no reason to jump."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.geometry import so3_log
+
+Pose = NDArray[np.float64]
+#: A camera that was lost has moved by at most this many of its median steps a frame, and by this much more, in depths.
+STEPS, FREE_DEPTHS = 5.0, 0.5
+#: A pose is turned by at most this much against what the gyroscope says.
+TURN_DEG = 20.0
+
+
+@dataclass
+class Reach:
+    """steps: distances from frame to frame of the last ``frames`` tracked ones, in the map's unit."""
+
+    frames: int
+    steps: deque[float] = field(default_factory=deque)
+
+    def record(self, before: Pose, after: Pose, frames: int) -> None:
+        """The camera moved from one pose (4, 4) to another within so many frames."""
+        self.steps.append(float(np.linalg.norm(after[:3, 3] - before[:3, 3])) / frames)
+        while len(self.steps) > self.frames:
+            self.steps.popleft()
+
+    def allows(self, before: Pose, after: Pose, frames: int, depth: float, expected: Pose | None = None) -> bool:
+        """Whether ``after`` can be reached from ``before`` within so many frames.
+
+        depth: of the scene. expected (4, 4): where an IMU expects the camera; only its rotation counts.
+        """
+        if expected is not None and np.degrees(turn(expected, after)) > TURN_DEG:
+            return False
+        if not self.steps:
+            return True
+        most = STEPS * frames * float(np.median(self.steps)) + FREE_DEPTHS * depth
+        return float(np.linalg.norm(after[:3, 3] - before[:3, 3])) <= most
+
+
+def turn(before: Pose, after: Pose) -> float:
+    """The angle between two poses, rad."""
+    return float(np.linalg.norm(so3_log(before[:3, :3].T @ after[:3, :3])))
