@@ -16,7 +16,7 @@ from panobench.cameras.base import Camera
 from panobench.errors import DatasetError, PanobenchError, UnavailableError, UnknownNameError, UsageError
 from panobench.masks.base import MaskEstimate, MaskEstimator
 from panobench.masks.files import MaskFile, read_mask_file
-from panobench.masks.frame_masks import FrameMasks, write_frame_masks
+from panobench.masks.frame_masks import write_frame_masks
 from panobench.plugins import registry
 from panobench.specs import DatasetSpec, MaskSpec
 
@@ -165,11 +165,7 @@ def write_masks(folder: Path, renders: Path, sequence: ChosenFrames, moving: Map
     from panobench.datasets.images import write_image
 
     valid = sequence.camera.valid_mask()
-    masks = FrameMasks()
-    for index in range(len(sequence)):
-        own = sequence.frame_mask(index)
-        if own is not None:
-            masks.put(index, own)
+    masks = sequence.frame_masks()
     write_frame_masks(folder / FRAME_MASKS, masks)
     write_frame_masks(folder / MOVING, moving)
     if not valid.all():

@@ -13,6 +13,7 @@ from panobench.cameras.rig import Rig, seen_in_panorama
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.truth import truth_remarks
 from panobench.errors import DatasetError
+from panobench.masks.frame_masks import FrameMasks
 from panobench.types import Frame, Imu, NovelView, Trajectory
 
 
@@ -31,6 +32,7 @@ class ChosenFrames(FrameSequence):
         self._hidden: NDArray[np.bool_] | None = None
         self._rig: tuple[Rig | None] | None = None
         self._frame_masks: Mapping[int, NDArray[np.bool_]] = {}
+        self._read_masks = FrameMasks()
         if not (np.isfinite(self.times).all() and (np.diff(self.times) > 0).all()):
             raise DatasetError(f"sequence '{inner.name}': the times are not finite and increasing")
 
@@ -61,9 +63,24 @@ class ChosenFrames(FrameSequence):
 
     def hide_in_frames(self, masks: Mapping[int, NDArray[np.bool_]]) -> None:
         """Frames by index show the scene only in these pixels (H, W), besides what their source says."""
-        self._frame_masks = masks
+        self._frame_masks, self._read_masks = masks, FrameMasks()
 
     def frame_mask(self, index: int) -> NDArray[np.bool_] | None:
+        """What the source says and ``hide_in_frames`` said; the source is asked once."""
+        if index not in self._read_masks:
+            mask = self._combined_mask(index)
+            if mask is None:
+                return None
+            self._read_masks.put(index, mask)
+        return self._read_masks[index]
+
+    def frame_masks(self) -> FrameMasks:
+        """The masks of all frames that have one."""
+        for index in range(len(self)):
+            self.frame_mask(index)
+        return self._read_masks
+
+    def _combined_mask(self, index: int) -> NDArray[np.bool_] | None:
         own, found = self._inner.frame_mask(self.original(index)), self._frame_masks.get(index)
         return own if found is None else found if own is None else own & found
 

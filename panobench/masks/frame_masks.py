@@ -26,6 +26,13 @@ class FrameMasks(Mapping[int, Mask]):
         picture = cv2.imdecode(np.frombuffer(self._pictures[index], np.uint8), cv2.IMREAD_GRAYSCALE)
         return np.asarray(picture, np.uint8) > 0
 
+    def __contains__(self, index: object) -> bool:
+        return index in self._pictures
+
+    def picture(self, index: int) -> bytes:
+        """A frame's mask as ``encode_mask`` writes it."""
+        return self._pictures[index]
+
     def __iter__(self) -> Iterator[int]:
         return iter(self._pictures)
 
@@ -50,5 +57,6 @@ def write_frame_masks(folder: Path, masks: Mapping[int, Mask]) -> None:
     """One picture for each mask; no folder without any. Raises OSError."""
     if masks:
         folder.mkdir(exist_ok=True)
-    for index, mask in masks.items():
-        (folder / mask_name(index)).write_bytes(encode_mask(mask))
+    for index in masks:
+        picture = masks.picture(index) if isinstance(masks, FrameMasks) else encode_mask(masks[index])
+        (folder / mask_name(index)).write_bytes(picture)

@@ -178,9 +178,27 @@ def test_masks_of_single_frames_reach_who_honours_them_and_are_joined_for_others
     read = FrameReader(single)
     assert read(0).mask is None
     frame = read(1)
-    assert frame.mask is one
+    assert frame.mask is not None
+    assert np.array_equal(frame.mask, one)
     assert not frame.image[~one].any()
     assert frame.image[one & ~LOWER].any()
+
+
+def test_the_source_is_asked_once_for_the_mask_of_a_frame(tmp_path: Path) -> None:
+    masks, asked = [LOWER | (np.arange(128) % (k + 2) > 0) for k in range(3)], []
+
+    class Masked(TinySequence):
+        def frame_mask(self, index: int) -> np.ndarray | None:
+            asked.append(index)
+            return masks[index] if index < 3 else None
+
+    sequence = ChosenFrames(Masked(erp_camera(128), n=4))
+    read = FrameReader(sequence)
+    assert all(np.array_equal(read(k).mask, masks[k]) for k in range(3))
+    masking.write_masks(tmp_path, tmp_path / "renders", sequence, {})
+    written = [read_image(tmp_path / "masks" / f"{k:06d}.png")[..., 0] > 0 for k in range(3)]
+    assert all(np.array_equal(a, b) for a, b in zip(written, masks))
+    assert asked.count(0) == asked.count(1) == asked.count(2) == 1
 
 
 class Walker(MaskEstimator):
