@@ -77,6 +77,7 @@ def test_the_action_and_the_hooks_are_well_formed() -> None:
     assert action["runs"]["using"] == "composite"
     for step in action["runs"]["steps"]:
         assert "uses" in step or step["shell"] == "bash"
+        assert "uses" not in step or re.fullmatch(r"[\w/-]+@[0-9a-f]{40}", step["uses"]), "a tag can be moved"
         # what a workflow passes in never becomes part of a script
         assert "${{" not in step.get("run", "")
     hooks = {hook["id"] for hook in yaml.safe_load((ROOT / ".pre-commit-hooks.yaml").read_text())}
