@@ -20,7 +20,9 @@ def export(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="File or folder to write; default: beside the run.")
     ] = None,
-    images: Annotated[bool, typer.Option(help="For models: write the frames too, read from the data again.")] = True,
+    images: Annotated[
+        bool, typer.Option(help="Read the frames from the data again: models hold them, a mesh's depth is put right.")
+    ] = True,
     faces: Annotated[
         bool, typer.Option("--faces", help="For models of panoramas: the six faces of a cube instead of panoramas.")
     ] = False,

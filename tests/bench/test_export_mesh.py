@@ -47,7 +47,7 @@ def run() -> Any:
 
 def test_the_mesh_lies_on_the_surface_and_faces_the_camera(run: Any, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
-    FORMATS["mesh"].write(run, tmp_path / "m.ply", ExportOptions(voxel=0.04))
+    FORMATS["mesh"].write(run, tmp_path / "m.ply", ExportOptions(images=False, voxel=0.04))
     document = PlyData.read(tmp_path / "m.ply")
     vertex = document["vertex"]
     points = np.stack([vertex[n] for n in "xyz"], axis=1).astype(float)
@@ -71,7 +71,7 @@ def test_voxels_that_make_no_mesh_are_refused(run: Any, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
     for voxel in (1e-4, 0.0, float("nan")):
         with pytest.raises(UsageError, match="voxel"):
-            FORMATS["mesh"].write(run, tmp_path / "m.ply", ExportOptions(voxel=voxel))
+            FORMATS["mesh"].write(run, tmp_path / "m.ply", ExportOptions(images=False, voxel=voxel))
 
 
 @pytest.mark.parametrize(

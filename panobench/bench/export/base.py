@@ -23,9 +23,9 @@ MIN_OPACITY = 0.5
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """images: models also get their frames, read from the data set again. faces: those of panoramas as the six faces of
-    a cube. voxel: edge of a mesh's voxels, in the map's unit; None chooses. camera: of a film, "erp" or
-    "pinhole:DEGREES". width: of a film or a face, pixels. seconds: length of a film.
+    """images: the frames are read from the data again; models hold them, and a mesh's depth is put right by them.
+    faces: those of panoramas as the six faces of a cube. voxel: edge of a mesh's voxels, map units; None chooses.
+    camera: of a film, "erp" or "pinhole:DEGREES". width: of a film or a face, pixels. seconds: length of a film.
     """
 
     images: bool = True

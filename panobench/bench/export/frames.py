@@ -20,6 +20,7 @@ from panobench.writing import write_whole
 
 if TYPE_CHECKING:
     from panobench.api import Run
+    from panobench.bench.views import ChosenFrames
     from panobench.cameras.base import Camera
 
 Array = NDArray[np.float64]
@@ -77,16 +78,22 @@ def face_rotations() -> list[Array]:
     return [view_rotation(name) for name in FACES]
 
 
-def write_pictures(run: Run, shots: list[Shot], target: Path, options: ExportOptions) -> None:
-    """Write the pictures to images/, read from the data set again. Raises InputError where it is gone."""
+def frames_of(run: Run) -> ChosenFrames:
+    """The frames of the run, read from the data set again. Raises InputError where it is gone."""
     from panobench.bench.setup import open_input
-    from panobench.datasets.images import write_image
 
     spec = run.record.spec
     try:
-        sequence = open_input(RunRequest(**{o.name: spec.option(o.name) for o in run_options()}))
+        return open_input(RunRequest(**{o.name: spec.option(o.name) for o in run_options()}))
     except PanobenchError as error:
         raise InputError(f"the frames cannot be read again ({error}); --no-images leaves them out") from error
+
+
+def write_pictures(run: Run, shots: list[Shot], target: Path, options: ExportOptions) -> None:
+    """Write the pictures to images/. Raises InputError where the data set is gone."""
+    from panobench.datasets.images import write_image
+
+    sequence = frames_of(run)
     views = _views(run, options)
     last: tuple[int, NDArray[np.uint8] | None] = (-1, None)
     for shot in shots:

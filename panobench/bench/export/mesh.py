@@ -30,7 +30,7 @@ VIEWS, WIDTH = 32, 1024
 #: Voxels along the longest side unless their size is given, and most of them in all.
 SIDE, MOST = 256, 80_000_000
 #: The distance is cut at so many voxels; it must reach over the noise of the depths.
-TRUNCATION = 4.0
+TRUNCATION = 2.5
 #: Pieces with fewer triangles are dropped.
 SMALLEST = 200
 
@@ -45,15 +45,47 @@ class Mesh:
 
 
 def mesh(run: Run, target: Path, options: ExportOptions) -> None:
-    """A PLY of triangles with coloured vertices. Raises UnavailableError without scikit-image."""
-    made = surface(map_of(run), poses_of(run).T_wc, options.voxel)
+    """A PLY of triangles with coloured vertices; of panoramas, plain walls are put where the frames agree on them.
+
+    Raises UnavailableError without scikit-image, InputError where the frames cannot be read again.
+    """
+    gaussians, path = map_of(run), poses_of(run).T_wc
+    chosen = chosen_poses(len(path))
+    depths, colours = _views(gaussians, path[chosen])
+    if options.images and run.camera.kind == "erp":
+        depths = _by_frames(run, chosen, depths)
+    made = surface(gaussians, path[chosen], depths, colours, options.voxel)
     write_whole(target, mesh_ply(made))
 
 
-def surface(gaussians: GaussianMap, T_wc: NDArray[np.float64], voxel: float | None = None) -> Mesh:
-    """The surface that the poses (N, 4, 4) see; voxel: edge in the map's unit, None: a ``SIDE``-th of its extent.
+def chosen_poses(count: int) -> NDArray[np.int64]:
+    """Numbers of the poses, of so many, from which the map is looked at."""
+    return np.unique(np.linspace(0, count - 1, VIEWS).round().astype(np.int64))
 
-    Raises UnavailableError without scikit-image, UsageError for a voxel that is too small, or where nothing is opaque.
+
+def _by_frames(run: Run, chosen: NDArray[np.int64], depths: Float) -> Float:
+    """The depths (K, H, W) at the chosen poses, corrected by the frames there."""
+    from panobench.bench.export.frames import frames_of, shots_of
+    from panobench.bench.export.plane_depth import corrected_depths
+    from panobench.bench.export.posed_panoramas import posed_panoramas
+
+    shots = [shots_of(run, ExportOptions())[k] for k in chosen]
+    T_wc = np.stack([shot.T_wc for shot in shots])
+    views = posed_panoramas(frames_of(run), [shot.frame for shot in shots], T_wc, depths)
+    return corrected_depths(views, depths)
+
+
+def surface(
+    gaussians: GaussianMap,
+    T_wc: NDArray[np.float64],
+    depths: Float,
+    colours: NDArray[np.uint8],
+    voxel: float | None = None,
+) -> Mesh:
+    """The surface that panoramas at poses (K, 4, 4) see at radial depths (K, H, W), NaN where unknown.
+
+    colours (K, H, W, 3). voxel: edge in the map's unit, None: a ``SIDE``-th of its extent. Raises UnavailableError
+    without scikit-image, UsageError for a voxel that is too small, or where nothing is opaque.
     """
     try:
         from skimage.measure import marching_cubes
@@ -68,9 +100,7 @@ def surface(gaussians: GaussianMap, T_wc: NDArray[np.float64], voxel: float | No
     shape = tuple(int(n) for n in np.ceil((high - low) / size) + 1)
     if math.prod(shape) > MOST:
         raise UsageError(f"--voxel {size:g} makes {math.prod(shape):,} voxels; {MOST:,} is the most")
-    chosen = T_wc[np.unique(np.linspace(0, len(T_wc) - 1, VIEWS).round().astype(int))]
-    depths, colours = _views(gaussians, chosen)
-    distance, weight = fuse(depths, chosen, low, shape, size, TRUNCATION * size)
+    distance, weight = fuse(depths, T_wc, low, shape, size, TRUNCATION * size)
     try:
         vertices, faces, _, _ = marching_cubes(
             distance, 0.0, mask=_whole_cubes(weight > 0), gradient_direction="descent"
@@ -81,7 +111,7 @@ def surface(gaussians: GaussianMap, T_wc: NDArray[np.float64], voxel: float | No
     used, faces = np.unique(faces, return_inverse=True)
     points = (low + size * vertices[used]).astype(np.float32)
     return Mesh(
-        points, faces.reshape(-1, 3).astype(np.int32), _colours(points, depths, colours, chosen, TRUNCATION * size)
+        points, faces.reshape(-1, 3).astype(np.int32), _colours(points, depths, colours, T_wc, TRUNCATION * size)
     )
 
 

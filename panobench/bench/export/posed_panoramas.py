@@ -1,0 +1,93 @@
+"""Panoramas of a run with their poses and the depth of its map, and how well frames agree on a depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.geometry import invert_pose
+from panobench.photometric.pyramid import luma_of_frame, pyramid
+from panobench.photometric.stereo import WorkingScale
+from panobench.photometric.sweep import reprojection_error
+
+if TYPE_CHECKING:
+    from panobench.bench.views import ChosenFrames
+
+Float = NDArray[np.float32]
+Array = NDArray[np.float64]
+
+#: Frames are compared at this width.
+WIDTH = 512
+#: Frames that one is compared with, and their distances from it over the scene's median depth.
+OTHERS, NEAREST, FARTHEST = 7, 0.05, 0.7
+#: Differences of luma (of 1) are cut here.
+TRUNCATION = 0.1
+#: The part of the others with the least differences counts: the rest may be hidden.
+VISIBLE = 0.7
+
+
+@dataclass(frozen=True)
+class PosedPanoramas:
+    """luma (K, H, W), of 1, NaN where a frame has nothing; depth (K, H, W): radial, of the map, all finite; T_wc
+    (K, 4, 4); scale: the camera of ``luma``.
+    """
+
+    luma: Float
+    depth: Float
+    T_wc: Array
+    scale: WorkingScale
+
+    def __len__(self) -> int:
+        return len(self.luma)
+
+    @property
+    def median_depth(self) -> float:
+        return float(np.median(self.depth))
+
+    def others(self, k: int, most: int = OTHERS) -> list[int]:
+        """Views to compare view ``k`` with, spread over the useful baselines; none where the camera stood still."""
+        baselines = np.linalg.norm(self.T_wc[:, :3, 3] - self.T_wc[k, :3, 3], axis=1) / self.median_depth
+        useful = [j for j in np.argsort(baselines) if NEAREST < baselines[j] < FARTHEST]
+        if not useful:
+            return []
+        return [int(useful[i]) for i in np.unique(np.linspace(0, len(useful) - 1, most).round().astype(int))]
+
+    def rays(self, k: int) -> Array:
+        """Unit rays (H, W, 3) of view ``k`` in the world."""
+        return np.asarray(self.scale.rays, np.float64) @ self.T_wc[k, :3, :3].T
+
+    def difference(self, k: int, depth: Float, window: int = 5) -> Float:
+        """(H, W): mean difference of luma between view ``k`` at a depth (H, W; NaN: none) and those that see it best.
+
+        window: pixels, a square over which each view's differences are averaged first.
+        """
+        s, others = self.scale, self.others(k)
+        found = np.full((len(others), *depth.shape), TRUNCATION, np.float32)
+        wanted = np.ascontiguousarray(depth, np.float32)
+        for out, j in zip(found, others):
+            T = (invert_pose(self.T_wc[j]) @ self.T_wc[k]).astype(np.float32)[None]
+            R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
+            error = np.empty(depth.shape, np.float32)
+            reprojection_error(
+                self.luma[k], s.rays, self.luma[j][None], R, t, wanted, s.code, s.cam, np.float32(TRUNCATION), error
+            )
+            error[~np.isfinite(error)] = TRUNCATION
+            out[:] = cv2.blur(error, (window, window))
+        best = max(1, round(VISIBLE * len(others)))
+        return np.asarray(np.partition(found, best - 1, axis=0)[:best].mean(axis=0), np.float32)
+
+
+def posed_panoramas(sequence: ChosenFrames, frames: list[int], T_wc: Array, depths: Float) -> PosedPanoramas:
+    """Frames of a panoramic sequence beside depths (K, H, W) of any size; those without depth get the median."""
+    scale = WorkingScale.of(sequence.camera, WIDTH)
+    valid = sequence.camera.valid_mask()
+    levels = (pyramid(luma_of_frame(sequence.image(i), valid), smallest_width=16) for i in frames)
+    luma = np.stack([found[scale.level] for found in levels])
+    size = luma.shape[2], luma.shape[1]
+    small = np.stack([cv2.resize(d, size, interpolation=cv2.INTER_NEAREST) for d in depths])
+    filled = np.where(np.isfinite(small), small, np.nanmedian(small)).astype(np.float32)
+    return PosedPanoramas(luma, filled, T_wc, scale)
