@@ -135,27 +135,26 @@ def _covers(f: Any, i: int, shape: int, ax: float, ay: float, az: float, cos_h: 
 def cone_of(rays: Any, y0: int, y1: int, x0: int, x1: int, spread: float) -> tuple[float, float, float, float]:
     """Axis and cosine of the half angle of a cone round a block of rays, widened by ``spread`` radians.
 
-    The cosine is -1, the whole sphere, if the rays cancel or if there are none.
+    The cosine is -1, the whole sphere, if the rays cancel, and 2, no cone, if there are none.
     """
-    ax, ay, az = 0.0, 0.0, 0.0
+    ax, ay, az, found = 0.0, 0.0, 0.0, False
     for y in range(y0, y1):
         for x in range(x0, x1):
-            ax += rays[y, x, 0]
-            ay += rays[y, x, 1]
-            az += rays[y, x, 2]
+            r0, r1, r2 = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
+            found = found or r0 != 0.0 or r1 != 0.0 or r2 != 0.0
+            ax, ay, az = ax + r0, ay + r1, az + r2
+    if not found:
+        return 0.0, 0.0, 1.0, 2.0
     norm = np.sqrt(ax * ax + ay * ay + az * az)
     if norm < 1e-9:
         return 0.0, 0.0, 1.0, -1.0
     ax, ay, az = ax / norm, ay / norm, az / norm
-    lowest, found = 1.0, False
+    lowest = 1.0
     for y in range(y0, y1):
         for x in range(x0, x1):
             r0, r1, r2 = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
             if r0 != 0.0 or r1 != 0.0 or r2 != 0.0:
-                found = True
                 lowest = min(lowest, ax * r0 + ay * r1 + az * r2)
-    if not found:
-        return ax, ay, az, 2.0
     return (
         ax,
         ay,

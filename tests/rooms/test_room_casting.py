@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from panobench.cameras.base import Camera
+from panobench.cameras.calibration import builtin_calibration
 from panobench.cameras.erp import ErpCamera
-from panobench.rooms import render
+from panobench.rooms import render, visibility
 from panobench.rooms.builder import Builder
 from panobench.rooms.kinds import KINDS
 from panobench.rooms.mesh import DISC, LEAF, RECT, TRIANGLE, Material, Mesh
@@ -65,17 +67,32 @@ def test_the_hierarchy_finds_what_brute_force_finds() -> None:
     assert hits == {-1, *SHAPES}
 
 
-def test_the_tiles_see_what_rays_see() -> None:
+@pytest.mark.parametrize(
+    "camera", [ErpCamera(128, 64), builtin_calibration("palvio_up").scaled(160)], ids=["erp", "pal"]
+)
+def test_the_tiles_see_what_rays_see(camera: Camera) -> None:
     """Depth by edge functions over tiles and by single rays through the hierarchy, in a furnished room."""
     geometry = make_geometry(KINDS["tiny"].plan(np.random.default_rng(0)).mesh)
-    camera = ErpCamera(128, 64)
     T_wc = np.eye(4)
     T_wc[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # z forward along the floor
     T_wc[:3, 3] = (1.6, 1.4, 1.3)
     depth = render.depth(geometry, render.ray_bundle(camera), T_wc)
     rays = camera.rays() @ T_wc[:3, :3].T
-    traced = np.array([[nearest(geometry, T_wc[:3, 3], ray)[1] for ray in row] for row in rays])
-    assert (np.abs(depth - traced) < 1e-4 * traced).mean() > 0.998  # the rest are edges, where float32 may differ
+    valid = camera.valid_mask()
+    traced = np.array([nearest(geometry, T_wc[:3, 3], ray)[1] for ray in rays[valid]])
+    assert (
+        np.abs(depth[valid] - traced) < 1e-4 * traced
+    ).mean() > 0.998  # the rest are edges, where float32 may differ
+    assert np.isnan(depth[~valid]).all()
+
+
+def test_blocks_without_a_ray_have_no_cone() -> None:
+    """Such a block was once searched for everything that there is."""
+    lens = builtin_calibration("palvio_up").scaled(320)
+    fine = render.ray_bundle(lens).fine[..., 3]
+    valid = lens.valid_mask().reshape(fine.shape[0], visibility.FINE_H, fine.shape[1], visibility.FINE_W)
+    assert np.array_equal(fine > 1.5, ~valid.any(axis=(1, 3)))
+    assert fine[fine < 1.5].min() > 0.8
 
 
 @pytest.mark.parametrize("shape", SHAPES)
