@@ -22,9 +22,21 @@ def palvio(
     sequence: Annotated[str | None, typer.Option(help="Its sequence; default: the first.")] = None,
     root: Annotated[Path | None, typer.Option(help="Where that dataset is.")] = None,
     frames: Annotated[int, typer.Option(min=4, help="Images in the bag.")] = 60,
+    camera: Annotated[
+        str | None, typer.Option(help="Another camera than PALVIO's, for example pinhole; it looks ahead.")
+    ] = None,
+    fov: Annotated[str | None, typer.Option(help="Its field of view, 90 or 90x60 degrees.")] = None,
     width: Annotated[int | None, typer.Option(min=160, max=1280, help="Image width; default PALVIO's 1280.")] = None,
     source_width: Annotated[int, typer.Option(help="Width of the panoramas it is made from.")] = 1024,
-    seed: Annotated[int, typer.Option(help="Seed of the IMU noise.")] = 0,
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=1, max=600, help="Somebody walks in the room for so long, instead of its own path."),
+    ] = None,
+    speed: Annotated[float, typer.Option(min=0.1, max=3, help="Of walking, m/s.")] = 1.0,
+    turn: Annotated[float, typer.Option(min=0, max=720, help="Fastest turn of the head, degrees/s.")] = 60,
+    gait: Annotated[float, typer.Option(min=0, max=4, help="Sway of the steps; 1 is a brisk walk's.")] = 1,
+    still: Annotated[float, typer.Option(min=0, max=60, help="Seconds of standing at the start; 0: in motion.")] = 1,
+    seed: Annotated[int, typer.Option(help="Another walk, other noise of the IMU.")] = 0,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar.")] = False,
 ) -> None:
     """Write a ROS 1 bag with PALVIO's topics, types and calibration.
@@ -35,15 +47,33 @@ def palvio(
     from rich.console import Console
     from rich.progress import Progress
 
+    from panobench.cameras.erp import ErpCamera
+    from panobench.cameras.factory import parse_camera_option
+    from panobench.capture.stroll import StrollOptions
+    from panobench.datasets.base import FrameSequence
     from panobench.datasets.open import open_sequence
-    from panobench.datasets.palvio_synth import BagOptions, write_palvio_bag
+    from panobench.datasets.palvio_synth import IMAGE_RATE_HZ, BagOptions, write_palvio_bag
+    from panobench.datasets.walked_room import WalkedRoom
+    from panobench.errors import UsageError
 
-    opened = open_sequence(dataset, sequence, root, source_width)
-    options = BagOptions(frames=frames, width=width, seed=seed)
+    if camera is None and fov is not None:
+        raise UsageError("--fov goes with --camera: PALVIO's lens has the field of view of its calibration")
+    if seconds is None:
+        opened: FrameSequence = open_sequence(dataset, sequence, root, source_width)
+        count = frames
+    else:
+        if dataset != "rooms":
+            raise UsageError(f"--seconds: only the built-in rooms can be walked through, not dataset '{dataset}'")
+        walk = StrollOptions(seconds=seconds, speed=speed, turn_deg_s=turn, gait=gait, still_s=still, seed=seed)
+        panorama = ErpCamera(source_width, source_width // 2)
+        opened = WalkedRoom(sequence or "room2", walk, panorama, IMAGE_RATE_HZ)
+        count = len(opened)
+    chosen = None if camera is None else parse_camera_option(camera, opened.camera, width, fov).camera
+    options = BagOptions(frames=count, width=width, camera=chosen, seed=seed)
     with Progress(console=Console(stderr=True), disable=quiet) as bar:
-        task = bar.add_task(opened.name, total=min(frames, len(opened)))
+        task = bar.add_task(opened.name, total=min(count, len(opened)))
         write_palvio_bag(out, opened, options, lambda n: bar.advance(task, n))
-    Console(highlight=False, soft_wrap=True).print(f"{out}: {min(frames, len(opened))} images of '{opened.name}'")
+    Console(highlight=False, soft_wrap=True).print(f"{out}: {min(count, len(opened))} images of '{opened.name}'")
 
 
 @app.command("hilti-360")

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.cameras.base import Camera
 from panobench.cameras.calibration import write_calibration
 from panobench.cameras.reproject import Reprojector
 from panobench.cameras.views import upright_rotation
@@ -27,7 +28,11 @@ from panobench.types import Trajectory
 from panobench.writing import write_whole, writing
 
 Array = NDArray[np.float64]
+#: Of a walk through a room, as PALVIO's camera.
+IMAGE_RATE_HZ = 15.0
 CAMERA_FILE = "palvio_camera.yaml"
+#: Pose of a camera that looks ahead on the body, whose axes are x forward, y left, z up.
+LOOKING_AHEAD = make_pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.array([0.05, 0.0, 0.03]))
 #: At 200 Hz 0.002 rad/s and 0.02 m/s^2 per sample, as flight controllers have.
 NOISE = ImuNoise(gyro=0.002 / np.sqrt(200), accel=0.02 / np.sqrt(200))
 
@@ -36,11 +41,13 @@ NOISE = ImuNoise(gyro=0.002 / np.sqrt(200), accel=0.02 / np.sqrt(200))
 class BagOptions:
     """frames: number of images (None: all). width: of the images (None: 1280). noise: of the IMU; none is published.
 
-    body_T_cam: pose of the camera on the body (None: the calibration's).
+    camera: another than PALVIO's, which looks ahead (x of the body) unless it is annular; ``width`` is its own then.
+    body_T_cam: pose of the camera on the body (None: the calibration's, or what "looks ahead" says).
     """
 
     frames: int | None = None
     width: int | None = None
+    camera: Camera | None = None
     seed: int = 0
     start_time_s: int = 1_700_000_000
     imu_rate_hz: float = 200.0
@@ -70,8 +77,9 @@ def write_palvio_bag(
 ) -> Path:
     """Write ``path`` (a .bag) from a sequence with ground truth at every frame; returns ``path``.
 
-    For other widths than 1280, a palvio.yaml with the scaled calibration is written beside it. The bag appears complete
-    or not at all. Raises UsageError if it exists or if the sequence has too little ground truth.
+    A generator renders for the camera, other images are reprojected. For other cameras than PALVIO's, and other
+    widths than 1280, palvio.yaml with the calibration is written beside the bag, which appears complete or not at all.
+    Raises UsageError if it exists or if the sequence has too little ground truth.
     """
     options = options or BagOptions()
     if path.suffix != ".bag":
@@ -79,6 +87,10 @@ def write_palvio_bag(
     if path.exists():
         raise UsageError(f"{path} exists already; remove it or choose another --out")
     calibration = scaled_calibration(options.width)
+    if options.camera is not None and options.camera.kind != "pal":
+        calibration = replace(calibration, camera=options.camera, body_T_cam=LOOKING_AHEAD)
+    elif options.camera is not None:
+        calibration = replace(calibration, camera=options.camera)
     if options.body_T_cam is not None:
         calibration = replace(calibration, body_T_cam=options.body_T_cam)
     motion, frames, up = _plan(sequence, options, calibration)
@@ -88,9 +100,10 @@ def write_palvio_bag(
         partial.unlink(missing_ok=True)
         try:
             _write(partial, sequence, frames, motion, up, calibration, options, progress)
-            if calibration.camera.width != published_calibration().camera.width:
+            if options.camera is not None or calibration.camera.width != published_calibration().camera.width:
                 write_calibration(calibration.camera, path.parent / CAMERA_FILE)
-                write_whole(path.parent / OVERRIDE, f"camera: {CAMERA_FILE}\n")
+                mounting = "" if options.camera is None else f"body_T_cam: {calibration.body_T_cam.tolist()}\n"
+                write_whole(path.parent / OVERRIDE, f"camera: {CAMERA_FILE}\n{mounting}")
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
@@ -115,6 +128,16 @@ def _plan(
     return BodyMotion(Trajectory(truth.times, T_w_body)), list(range(n)), upward_axis(upright)
 
 
+def _pictures(sequence: FrameSequence, camera: Camera) -> Callable[[int], NDArray[np.uint8]]:
+    """The images of ``camera``, upright as the sequence's own."""
+    R = upright_rotation(camera).T @ upright_rotation(sequence.camera)
+    rendered = sequence.rendered_by(camera, R)
+    if rendered is not None:
+        return rendered.image
+    reprojector = Reprojector(sequence.camera, camera, R)
+    return lambda index: reprojector.image(sequence.image(index))
+
+
 def _write(
     path: Path,
     sequence: FrameSequence,
@@ -131,8 +154,7 @@ def _write(
 
     store = get_typestore(Stores.ROS1_NOETIC)
     make = _Messages(store, options)
-    R = upright_rotation(calibration.camera).T @ upright_rotation(sequence.camera)
-    reprojector = Reprojector(sequence.camera, calibration.camera, R)
+    picture = _pictures(sequence, calibration.camera)
     begin, end = float(motion.times[0]), float(motion.times[-1])
     t_imu = sample_times(begin, end, options.imu_rate_hz)
     t_truth = sample_times(begin, end, options.truth_rate_hz)
@@ -157,7 +179,7 @@ def _write(
             elif kind == 1:
                 message = make.odometry(time, k, body[k])
             else:
-                grey = cv2.cvtColor(reprojector.image(sequence.image(k)), cv2.COLOR_RGB2GRAY)
+                grey = cv2.cvtColor(picture(k), cv2.COLOR_RGB2GRAY)
                 message = make.image(time, k, np.asarray(grey, dtype=np.uint8))
                 progress(1)
             stamp = make.nanoseconds(time)

@@ -43,6 +43,25 @@ def test_the_seed_decides_the_noise(tmp_path: Path) -> None:
     assert np.abs(gyros[0] - gyros[2]).max() > 1e-4
 
 
+def test_a_walk_through_a_room_by_a_camera_that_looks_ahead(tmp_path: Path) -> None:
+    walk = ["--sequence", "tiny", "--seconds", 1.5, "--still", 0, "--source-width", 64]
+    lens = ["--camera", "pinhole", "--fov", "90x65", "--width", 160]
+    assert synth("--out", tmp_path / "walk.bag", *walk, *lens) == 0
+    made = open_sequence("palvio", "walk", tmp_path)
+    assert (made.camera.kind, made.camera.width, len(made)) == ("pinhole", 160, 22)
+    truth, imu = made.groundtruth, made.imu
+    assert truth is not None
+    assert imu is not None
+    assert imu.T_body_cam is not None
+    np.testing.assert_array_equal(truth.times, made.times)
+    R_wb = truth.T_wc[:, :3, :3] @ imu.T_body_cam[:3, :3].T
+    np.testing.assert_allclose(R_wb.mean(axis=0)[2], [0, 0, 1], atol=0.1)  # the body's z is up
+    at = np.searchsorted(imu.times, truth.times[1:-1])
+    up = np.einsum("nij,nj->ni", R_wb[1:-1], imu.accel[at]).mean(axis=0)
+    np.testing.assert_allclose(up / np.linalg.norm(up), [0, 0, 1], atol=0.1)
+    assert np.ptp([made.image(i) for i in (0, 20)]) > 50
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -50,6 +69,9 @@ def test_the_seed_decides_the_noise(tmp_path: Path) -> None:
         (("--frames", "2"), "--frames"),
         (("--dataset", "romms"), "did you mean 'rooms'"),
         (("--dataset", "synpano"), "needs --root"),
+        (("--dataset", "synpano", "--seconds", "2"), "only the built-in rooms can be walked through"),
+        (("--seconds", "2", "--sequence", "romm"), "built-in room"),
+        (("--fov", "90"), "goes with --camera"),
     ],
 )
 def test_bad_options(
