@@ -158,7 +158,7 @@ def opencv_yaml(values: Mapping[str, Any]) -> str:
                 f"{key}: !!opencv-matrix",
                 f"   rows: {rows}",
                 f"   cols: {cols}",
-                "   dt: d",
+                f"   dt: {'f' if value.dtype == np.float32 else 'd'}",
                 f"   data: [{data}]",
             ]
         else:

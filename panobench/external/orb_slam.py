@@ -6,6 +6,7 @@ The settings file's keys are those of ORB-SLAM3's `Examples` (Campos et al., T-R
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -145,9 +146,14 @@ class OrbSlamMethod(ExternalMethod):
         """Further keys of the settings file, for files that are written to the work folder here. By default none."""
         return {}
 
-    def write_inputs(self, sequence: FrameSequence, work: Path, images: Path) -> Path:
-        """Write settings.yaml, times.txt and the grey images, named by their times in ns; return the vocabulary."""
-        values = self.settings(sequence.camera, frame_rate(sequence.times))
+    def write_inputs(
+        self, sequence: FrameSequence, work: Path, images: Path, further: Mapping[str, Any] | None = None
+    ) -> Path:
+        """Write settings.yaml, times.txt and the grey images, named by their times in ns; return the vocabulary.
+
+        further: keys of the settings file besides those of the camera and the features.
+        """
+        values = self.settings(sequence.camera, frame_rate(sequence.times)) | dict(further or {})
         (work / "settings.yaml").write_text(opencv_yaml(values | self.file_settings(sequence.camera, work)))
         stamps = nanoseconds(sequence.times)
         write_images(sequence, images, grey=True, names=stamps, keep=self.visible_pixels(sequence.camera))

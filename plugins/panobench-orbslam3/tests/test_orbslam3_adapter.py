@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
@@ -9,14 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from panobench_orbslam3 import BINARY, PYTHON
+from panobench_orbslam3 import BINARY, INERTIAL, PYTHON
 from panobench_orbslam3.binary import OrbSlam3Binary
-from panobench_orbslam3.bindings import OrbSlam3, OrbSlam3Config
+from panobench_orbslam3.bindings import OrbSlam3, OrbSlam3Config, OrbSlam3Inertial, OrbSlam3InertialConfig
 from panobench_orbslam3.track import decode_grey_png
 
-from panobench import Camera, MethodContext, MethodError, UnavailableError, UnsupportedError
+from panobench import Camera, Imu, MethodContext, MethodError, Trajectory, UnavailableError, UnsupportedError
 from panobench.external import VOCABULARY_VARIABLE, OrbSlamConfig, opencv_yaml, orb_descriptors, train_vocabulary
-from panobench.geometry import make_pose, so3_exp
+from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.testing import (
     TinySequence,
     assert_conforms,
@@ -30,6 +31,19 @@ from panobench.testing import (
 )
 
 PINHOLE = pinhole_camera(96, 90, 70)
+
+
+T_BODY_CAM = make_pose(so3_exp([0.1, 1.2, -0.3]), [0.05, -0.02, 0.1])
+
+
+class WithBody(TinySequence):
+    """Inertial samples of a body that is not the camera. Only the frames of reference matter here."""
+
+    @property
+    def imu(self) -> Imu | None:
+        imu = super().imu
+        assert imu is not None
+        return dataclasses.replace(imu, T_body_cam=T_BODY_CAM)
 
 
 @pytest.fixture
@@ -74,6 +88,7 @@ def test_the_binary_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.M
 def test_the_bindings_keep_the_contract_where_they_cannot_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PANOBENCH_ORBSLAM3_RUN_IN", "venv:/no/such/place")
     assert_conforms(PYTHON)
+    assert_conforms(INERTIAL)
 
 
 def test_the_binary_gets_its_files_and_its_answer_is_read(
@@ -102,17 +117,22 @@ def test_a_missing_binary_is_unavailable(sequence: TinySequence, monkeypatch: py
 
 FAKE_PACKAGE = """
 class Sensor:
-    MONOCULAR = "mono"
+    MONOCULAR, IMU_MONOCULAR = "mono", "imu"
 
 class Result:
     state, pose_valid = "OK", True
 
 class Slam:
     def __init__(self, vocabulary, settings, sensor, use_viewer=False):
-        assert open(vocabulary).readline() and open(settings).readline() and sensor == "mono" and not use_viewer
-        self.times = []
-    def track_monocular(self, image, t):
+        assert open(vocabulary).readline() and not use_viewer
+        assert (sensor == "imu") == ("IMU.T_b_c1: !!opencv-matrix" in open(settings).read())
+        self.sensor, self.times = sensor, []
+    def track_monocular(self, image, t, imu=None):
         assert image.dtype == "uint8" and image.ndim == 2
+        assert (imu is not None) == (self.sensor == "imu")
+        if imu is not None:
+            after = self.times[-1] if self.times else t - 0.1
+            assert len(imu) >= 1 and (imu[:, 0] > after).all() and (imu[:, 0] <= t + 1e-9).all()
         assert not self.times or t > self.times[-1]
         self.times.append(t)
         return Result()
@@ -150,6 +170,31 @@ def test_the_bindings_are_driven_in_a_named_environment(
     assert sorted(run.estimate.frames) == list(range(6))
     assert all(0 <= numbers["program_tracking_s"] < 60 for numbers in run.estimate.frames.values())
     assert any("6 of 6 frames tracked live" in line for line in run.log)
+
+
+def test_with_an_imu_it_answers_with_body_poses(sequence: TinySequence, vocabulary: Path, tmp_path: Path) -> None:
+    truth = sequence.groundtruth
+    assert truth is not None
+    bodies = Trajectory(truth.times, truth.T_wc @ invert_pose(T_BODY_CAM))
+    rows = "".join(f"{t * 1e9:.6f} " + " ".join(f"{v:.9f}" for v in rest) + "\n" for t, *rest in pose_rows(bodies))
+    place = fake_environment(tmp_path / "env", f"ROWS = {rows!r}\n{FAKE_PACKAGE}")
+    config = OrbSlam3InertialConfig(run_in=place, pace=0, levels=2)
+    estimate = run_method(OrbSlam3Inertial(config), WithBody(PINHOLE, n=6), needs=INERTIAL.needs).estimate
+    assert estimate.metric
+    assert np.allclose(estimate.trajectory.positions, truth.positions, atol=1e-6)
+
+
+def test_the_imu_s_settings_are_densities_and_its_pose_is_in_single_precision(tmp_path: Path) -> None:
+    times = np.arange(400) / 200.0
+    noise = np.random.default_rng(1).normal(size=(400, 6)) * [*[0.002] * 3, *[0.02] * 3]
+    imu = Imu(times, noise[:, :3], noise[:, 3:] + [0, 0, 9.81])
+    values = OrbSlam3Inertial().imu_settings(imu, make_pose(np.eye(3), [0.05, -0.02, 0.1]))
+    assert values["IMU.NoiseGyro"] == pytest.approx(0.002 / np.sqrt(200), rel=0.15)
+    assert values["IMU.NoiseAcc"] == pytest.approx(0.02 / np.sqrt(200), rel=0.15)
+    (tmp_path / "s.yaml").write_text(opencv_yaml(values))
+    file = cv2.FileStorage(str(tmp_path / "s.yaml"), cv2.FILE_STORAGE_READ)
+    assert file.getNode("IMU.T_b_c1").mat().dtype == np.float32
+    assert file.getNode("IMU.Frequency").real() == pytest.approx(200)
 
 
 def test_lost_from_the_first_frame_is_an_empty_answer(sequence: TinySequence, vocabulary: Path, tmp_path: Path) -> None:

@@ -19,6 +19,21 @@ PYTHON = MethodSpec(
     config="panobench_orbslam3.bindings:OrbSlam3Config",
     deterministic=False,
 )
+INERTIAL = MethodSpec(
+    "orbslam3-inertial",
+    "the genuine ORB-SLAM3, monocular with IMU, through pyorbslam3",
+    "panobench_orbslam3.bindings:OrbSlam3Inertial",
+    cameras=("pinhole", "fisheye"),
+    needs=("rgb", "imu"),
+    colour=False,
+    metric=True,
+    licence="GPL-3.0",
+    citation=_CITATION,
+    install=PYTHON.install,
+    probe="panobench_orbslam3.bindings:OrbSlam3Inertial.missing",
+    config="panobench_orbslam3.bindings:OrbSlam3InertialConfig",
+    deterministic=False,
+)
 BINARY = MethodSpec(
     "orbslam3-binary",
     "the genuine ORB-SLAM3, monocular, through its own mono_euroc program",
@@ -36,4 +51,4 @@ BINARY = MethodSpec(
 
 @hookimpl
 def register_methods() -> list[MethodSpec]:
-    return [PYTHON, BINARY]
+    return [PYTHON, INERTIAL, BINARY]

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from panobench import FrameSequence, MethodContext, option
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench import FrameSequence, Imu, MethodContext, UnsupportedError, option
 from panobench.external import (
     ExternalConfig,
     Finding,
@@ -20,6 +23,7 @@ from panobench.external import (
     find_package,
     library_finding,
     missing_libraries,
+    sample_noise,
 )
 
 _LIBRARIES = "apt install libgl1 libegl1 libopengl0 libsm6 libice6 libx11-6 libxext6"
@@ -59,18 +63,69 @@ class OrbSlam3(PythonPackageMethod, OrbSlamMethod):
         return found if core is None else [*found, library_finding("its shared libraries", core, _LIBRARIES)]
 
     def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
-        work = context.work
-        vocabulary = self.write_inputs(sequence, work, work / "images")
+        return self._job(sequence, context.work, {}, None)
+
+    def _job(
+        self, sequence: FrameSequence, work: Path, further: dict[str, Any], T_body_cam: NDArray[np.float64] | None
+    ) -> Job:
+        """Write the inputs and say how to run. T_body_cam: with an IMU, whose poses the answer then has."""
+        vocabulary = self.write_inputs(sequence, work, work / "images", further)
         script = copy_script(Path(__file__).parent / "track.py", work)
         return Job(
             [str(script), str(vocabulary), str(work), repr(float(self.config.pace))],
             work / "frames.txt",
-            TrajectoryFormat("tum-ns"),
+            TrajectoryFormat("tum-ns", T_body_camera=T_body_cam),
             reads=(vocabulary,),
             keyframes=work / "keyframes.txt",
             frame_seconds=work / "track_times.txt",
             silent_when_lost=True,
         )
+
+
+@dataclass(frozen=True)
+class OrbSlam3InertialConfig(OrbSlam3Config):
+    """Noise of the IMU. ORB-SLAM3 takes densities."""
+
+    gyro_noise: float | None = option(
+        None, "noise of the gyroscope; none: estimated from the samples", unit="rad/s/sqrt(Hz)", above=0
+    )
+    accel_noise: float | None = option(
+        None, "noise of the accelerometer; none: estimated from the samples", unit="m/s^2/sqrt(Hz)", above=0
+    )
+    gyro_walk: float = option(1.9e-5, "random walk of the gyroscope's bias", unit="rad/s^2/sqrt(Hz)", above=0)
+    accel_walk: float = option(3.0e-3, "random walk of the accelerometer's bias", unit="m/s^3/sqrt(Hz)", above=0)
+
+
+class OrbSlam3Inertial(OrbSlam3):
+    """Monocular with IMU, metric scale. The poses it saves are the body's."""
+
+    title: ClassVar[str] = "ORB-SLAM3 with IMU"
+    metric: ClassVar[bool] = True
+    config_class: ClassVar[type[ExternalConfig]] = OrbSlam3InertialConfig
+    config: OrbSlam3InertialConfig
+
+    def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
+        imu = context.imu
+        if imu is None:
+            raise UnsupportedError("ORB-SLAM3 with IMU needs inertial samples; this sequence has none")
+        T_body_cam = np.eye(4) if imu.T_body_cam is None else imu.T_body_cam
+        rows = np.column_stack([imu.times, imu.gyro, imu.accel])
+        (context.work / "imu.txt").write_text("".join(" ".join(f"{v:.9f}" for v in row) + "\n" for row in rows))
+        return self._job(sequence, context.work, self.imu_settings(imu, T_body_cam), T_body_cam)
+
+    def imu_settings(self, imu: Imu, T_body_cam: NDArray[np.float64]) -> dict[str, Any]:
+        """The IMU's keys. Its matrix is read as single precision whatever the file says: it must be written so."""
+        rate = 1 / float(np.median(np.diff(imu.times)))
+        config = self.config
+        return {
+            "IMU.T_b_c1": T_body_cam.astype(np.float32),
+            "IMU.InsertKFsWhenLost": 0,
+            "IMU.NoiseGyro": config.gyro_noise or sample_noise(imu.gyro, floor=1e-4) / rate**0.5,
+            "IMU.NoiseAcc": config.accel_noise or sample_noise(imu.accel, floor=1e-3) / rate**0.5,
+            "IMU.GyroWalk": config.gyro_walk,
+            "IMU.AccWalk": config.accel_walk,
+            "IMU.Frequency": rate,
+        }
 
 
 def _core(place: Place) -> Path | None:

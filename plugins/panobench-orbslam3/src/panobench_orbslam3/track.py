@@ -1,6 +1,7 @@
 """Runs in the environment that has pyorbslam3 and numpy: feeds the images, saves trajectories and tracking times.
 
-``python track.py VOCABULARY WORK PACE``; WORK holds settings.yaml, times.txt (nanoseconds) and images/<time>.png.
+``python track.py VOCABULARY WORK PACE``; WORK holds settings.yaml, times.txt (nanoseconds) and images/<time>.png, and
+with an IMU imu.txt: rows of time in s, angular rate in rad/s and specific force in m/s^2.
 """
 
 from __future__ import annotations
@@ -62,11 +63,24 @@ def decode_grey_png(data: bytes) -> Any:
     return image
 
 
+def samples_by_frame(path: Path, stamps: list[str]) -> Any:
+    """For each frame the inertial samples (n, 7) after the frame before it; for the first one those of 0.1 s."""
+    import numpy as np
+
+    samples = np.loadtxt(path, ndmin=2)
+    times = np.array([int(stamp) * 1e-9 for stamp in stamps])
+    begin = np.searchsorted(samples[:, 0], [times[0] - 0.1, *times], side="right")
+    return [samples[begin[i] : begin[i + 1]] for i in range(len(times))]
+
+
 def main(vocabulary: str, work: Path, pace: float) -> None:
     import pyorbslam3
 
     stamps = [line for line in (work / "times.txt").read_text().split() if line]
-    slam = pyorbslam3.Slam(vocabulary, str(work / "settings.yaml"), pyorbslam3.Sensor.MONOCULAR, use_viewer=False)
+    inertial = (work / "imu.txt").exists()
+    samples = samples_by_frame(work / "imu.txt", stamps) if inertial else [None] * len(stamps)
+    sensor = pyorbslam3.Sensor.IMU_MONOCULAR if inertial else pyorbslam3.Sensor.MONOCULAR
+    slam = pyorbslam3.Slam(vocabulary, str(work / "settings.yaml"), sensor, use_viewer=False)
     begin, tracked = time.perf_counter(), 0
     seconds: list[float] = []
     for i, stamp in enumerate(stamps):
@@ -75,7 +89,7 @@ def main(vocabulary: str, work: Path, pace: float) -> None:
         if ahead > 0:
             time.sleep(ahead)
         start = time.perf_counter()
-        result = slam.track_monocular(image, int(stamp) * 1e-9)
+        result = slam.track_monocular(image, int(stamp) * 1e-9, samples[i])
         seconds.append(time.perf_counter() - start)
         tracked += bool(result.pose_valid)
         print(f"frame {i}: {result.state}", flush=True)
