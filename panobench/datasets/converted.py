@@ -13,11 +13,12 @@ from panobench.cameras.base import Camera
 from panobench.cameras.footprint import ENLARGED, enlargement
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import FrameSequence
+from panobench.datasets.wrapped import WrappedSequence
 from panobench.errors import UnsupportedError
 from panobench.types import Imu, NovelView, Trajectory
 
 
-class ConvertedSequence(FrameSequence):
+class ConvertedSequence(WrappedSequence):
     """``source`` seen by ``camera``, whose axes are the source's rotated by ``R_target_source``.
 
     Images and depth are reprojected on demand; the ground truth is that of the new camera; inertial samples stay those
@@ -35,13 +36,6 @@ class ConvertedSequence(FrameSequence):
     def image(self, index: int) -> NDArray[np.uint8]:
         return self.reprojector.image(self.source.image(index))
 
-    @property
-    def start_time(self) -> float:
-        return self.source.start_time
-
-    def frame_name(self, index: int) -> str:
-        return self.source.frame_name(index)
-
     def depth(self, index: int) -> NDArray[np.float32] | None:
         depth = self.source.depth(index)
         return None if depth is None else self.reprojector.depth(depth)
@@ -54,14 +48,6 @@ class ConvertedSequence(FrameSequence):
     @property
     def groundtruth(self) -> Trajectory | None:
         return self._groundtruth
-
-    @property
-    def groundtruth_scaled(self) -> bool:
-        return self.source.groundtruth_scaled
-
-    @property
-    def world_up(self) -> NDArray[np.float64] | None:
-        return self.source.world_up
 
     @property
     def recorded_truth(self) -> Trajectory | None:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from panobench.datasets.base import Dataset, FrameSequence
 from panobench.datasets.disturb import BARE, Disturbances, Disturber
+from panobench.datasets.wrapped import WrappedSequence
 from panobench.errors import UsageError
-from panobench.types import Imu, NovelView, Trajectory
+from panobench.types import Imu, Trajectory
 
 #: Raised when the same name gives other images.
 DISTURBANCE_VERSION = 1
@@ -32,7 +33,7 @@ EXAMPLES = (
 )
 
 
-class DisturbedSequence(FrameSequence):
+class DisturbedSequence(WrappedSequence):
     """``source`` with its images disturbed; truth is that of the turned camera, novel views stay as they are."""
 
     def __init__(self, source: FrameSequence, chosen: Disturbances, name: str) -> None:
@@ -42,13 +43,6 @@ class DisturbedSequence(FrameSequence):
 
     def image(self, index: int) -> NDArray[np.uint8]:
         return self._disturb(self.source.image(index), index)
-
-    @property
-    def start_time(self) -> float:
-        return self.source.start_time
-
-    def frame_name(self, index: int) -> str:
-        return self.source.frame_name(index)
 
     def depth(self, index: int) -> NDArray[np.float32] | None:
         """Of the scene, as if nothing were before the camera; nearest column when the camera is turned."""
@@ -74,19 +68,9 @@ class DisturbedSequence(FrameSequence):
         return None if self._disturb.chosen.yaw else self.source.recorded_truth
 
     @property
-    def world_up(self) -> NDArray[np.float64] | None:
-        return self.source.world_up
-
-    @property
     def imu(self) -> Imu | None:
         """The source's; none when the camera is turned, for the body does not turn with it."""
         return None if self._disturb.chosen.yaw else self.source.imu
-
-    def novel_views(self) -> list[NovelView]:
-        return self.source.novel_views()
-
-    def remarks(self) -> list[str]:
-        return self.source.remarks()
 
     def provenance(self) -> dict[str, Any]:
         about = {"version": DISTURBANCE_VERSION, "seed": self._disturb.seed, **self._disturb.chosen.to_dict()}

@@ -16,11 +16,12 @@ from panobench.datasets.base import FrameSequence
 from panobench.datasets.checksums import known_sha256
 from panobench.datasets.trajectory_match import nearest
 from panobench.datasets.truth import MAX_GAP_S, truth_at_frames
+from panobench.datasets.wrapped import WrappedSequence
 from panobench.errors import InputError, UsageError
 from panobench.trajectories.matching import Frames, place
 from panobench.trajectories.posed import PoseList
 from panobench.trajectories.reading import read_poses
-from panobench.types import Imu, NovelView, Trajectory
+from panobench.types import NovelView, Trajectory
 
 SCALES = ("metres", "none")
 
@@ -81,32 +82,28 @@ def at_times(trajectory: Trajectory, times: NDArray[np.float64]) -> Trajectory:
     return truth_at_frames(trajectory, times) or trajectory.select([])
 
 
-class ReferencedSequence(FrameSequence):
+class ReferencedSequence(WrappedSequence):
     """``inner`` with another ground truth."""
 
     def __init__(self, inner: FrameSequence, reference: Reference) -> None:
-        self._inner, self._reference = inner, reference
+        self.source, self._reference = inner, reference
         self.name, self.dataset, self.camera, self.times = inner.name, inner.dataset, inner.camera, inner.times
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        return self._inner.image(index)
+        return self.source.image(index)
 
     @property
     def rig(self) -> Rig | None:
-        return self._inner.rig
+        return self.source.rig
 
     def lens_images(self, index: int) -> tuple[NDArray[np.uint8], ...]:
-        return self._inner.lens_images(index)
-
-    @property
-    def start_time(self) -> float:
-        return self._inner.start_time
-
-    def frame_name(self, index: int) -> str:
-        return self._inner.frame_name(index)
+        return self.source.lens_images(index)
 
     def depth(self, index: int) -> NDArray[np.float32] | None:
-        return self._inner.depth(index)
+        return self.source.depth(index)
+
+    def frame_mask(self, index: int) -> NDArray[np.bool_] | None:
+        return self.source.frame_mask(index)
 
     @property
     def groundtruth(self) -> Trajectory | None:
@@ -122,15 +119,16 @@ class ReferencedSequence(FrameSequence):
         return self._reference.scaled
 
     @property
-    def imu(self) -> Imu | None:
-        return self._inner.imu
+    def world_up(self) -> NDArray[np.float64] | None:
+        """None: the reference has a world of its own."""
+        return None
 
     def novel_views(self) -> list[NovelView]:
         """None: their poses are of the dataset's own world."""
         return []
 
     def rendered_by(self, camera: Camera, R_target_source: NDArray[np.float64]) -> FrameSequence | None:
-        inner = self._inner.rendered_by(camera, R_target_source)
+        inner = self.source.rendered_by(camera, R_target_source)
         if inner is None:
             return None
 
@@ -144,14 +142,14 @@ class ReferencedSequence(FrameSequence):
         return ReferencedSequence(inner, moved)
 
     def remarks(self) -> list[str]:
-        return [*self._inner.remarks(), *self._reference.remarks]
+        return [*self.source.remarks(), *self._reference.remarks]
 
     def provenance(self) -> dict[str, Any]:
         path = self._reference.path
         about = {"file": path.name, "scaled": self._reference.scaled}
         if path.is_file():
             about["sha256"] = known_sha256(path)
-        return {**self._inner.provenance(), "groundtruth": about}
+        return {**self.source.provenance(), "groundtruth": about}
 
 
 class PathAlone(FrameSequence):
