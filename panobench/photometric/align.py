@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 #: Something is moving where more than this share of the view has residuals above ``AlignOptions.cut_moving``.
 MOVING_SHARE = 0.05
+#: Largest log gain either way: seven stops.
+GAIN_MOST = 5.0
 
 
 @dataclass
@@ -57,6 +59,7 @@ class _State:
     def moved(self, x: NDArray[np.float64]) -> _State:
         """The state after the step x (6,) or (8,), which moves the reference; the frame moves by its inverse."""
         gain, offset = (self.gain + x[6], self.offset + x[7]) if len(x) > 6 else (self.gain, self.offset)
+        gain = float(np.clip(gain, -GAIN_MOST, GAIN_MOST))  # far from a solution the step can be anything
         return _State(self.T @ se3_exp(-x[:6]), gain, offset)
 
 

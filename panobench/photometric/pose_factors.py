@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solve
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.linalg import spsolve
 
 from panobench.geometry import hat, invert_pose, renormalise, se3_exp, se3_log
 from panobench.photometric.bundle import Bundle
@@ -20,6 +22,8 @@ from panobench.photometric.bundle import Bundle
 Array = NDArray[np.float64]
 
 ITERATIONS = 4
+#: Poses from which the normal equations are kept sparse: they have blocks along the diagonal, and some for loops.
+MANY = 200
 #: A step that changes nothing by more than this, in standard deviations of the prior, is the last one.
 CONVERGED = 1e-3
 #: Shares of itself that are added to the diagonal of a system that is not positive definite, one after the other.
@@ -43,7 +47,13 @@ class PosePrior:
     rotation: float
 
 
-def optimise_trajectory(T_wc: Array, factors: list[BundleFactor], prior: PosePrior, held: NDArray[np.bool_]) -> Array:
+def optimise_trajectory(
+    T_wc: Array,
+    factors: list[BundleFactor],
+    prior: PosePrior,
+    held: NDArray[np.bool_],
+    iterations: int = ITERATIONS,
+) -> Array:
     """Poses (N, 4, 4) that minimise the factors' costs; those ``held`` (N,) stay. T_wc (N, 4, 4): start and prior.
 
     Frames are numbered from 0 to N - 1. Gauss-Newton on left twists of T_cw; the prior keeps the system regular.
@@ -53,22 +63,53 @@ def optimise_trajectory(T_wc: Array, factors: list[BundleFactor], prior: PosePri
     T_cw = before.copy()
     unit = np.tile(np.repeat([1.0 / prior.translation**2, 1.0 / prior.rotation**2], 3), count)
     free = np.flatnonzero(np.repeat(~held, 6))
-    for _ in range(ITERATIONS if len(free) else 0):
-        H, b = np.diag(unit), unit * se3_log(T_cw @ invert_pose(before)).ravel()
-        for factor in factors:
-            A, g = _linearise(factor, T_cw)
-            cells = (6 * np.append(factor.frames, factor.reference)[:, None] + np.arange(6)).ravel()
-            H[cells[:, None], cells] += A
-            b[cells] += g
-        x = np.zeros(6 * count)
-        step = _solved(H[free[:, None], free], -b[free])
+    solve_for = _step_sparse if count > MANY else _step
+    for _ in range(iterations if len(free) else 0):
+        b = unit * se3_log(T_cw @ invert_pose(before)).ravel()
+        step = solve_for(unit, b, [(_cells(f), *_linearise(f, T_cw)) for f in factors], free)
         if step is None:
             break
+        x = np.zeros(6 * count)
         x[free] = step
         T_cw = renormalise(se3_exp(x.reshape(count, 6)) @ T_cw)
         if np.abs(x * np.sqrt(unit)).max() < CONVERGED:
             break
     return invert_pose(T_cw)
+
+
+#: A factor's cells (6F + 6,) in the system, and its part of it: H (6F + 6, 6F + 6) and b.
+_Part = tuple[NDArray[np.int64], Array, Array]
+
+
+def _cells(factor: BundleFactor) -> NDArray[np.int64]:
+    return np.asarray((6 * np.append(factor.frames, factor.reference)[:, None] + np.arange(6)).ravel())
+
+
+def _step(unit: Array, b: Array, parts: list[_Part], free: NDArray[np.int64]) -> Array | None:
+    """The Gauss-Newton step of the ``free`` unknowns; None if there are no finite numbers. unit, b: of the prior."""
+    H, b = np.diag(unit), b.copy()
+    for cells, A, g in parts:
+        H[cells[:, None], cells] += A
+        b[cells] += g
+    return _solved(H[free[:, None], free], -b[free])
+
+
+def _step_sparse(unit: Array, b: Array, parts: list[_Part], free: NDArray[np.int64]) -> Array | None:
+    """The same for many poses."""
+    b = b.copy()
+    for cells, _, g in parts:
+        b[cells] += g
+    if not np.isfinite(b).all():
+        return None
+    rows = np.concatenate([np.repeat(cells, len(cells)) for cells, _, _ in parts])
+    columns = np.concatenate([np.tile(cells, len(cells)) for cells, _, _ in parts])
+    values = np.concatenate([A.ravel() for _, A, _ in parts])
+    H = (coo_matrix((values, (rows, columns)), (len(unit), len(unit))) + diags(unit)).tocsr()[free][:, free]
+    for damping in DAMPING:
+        step = np.asarray(spsolve((H + damping * diags(np.abs(H.diagonal()))).tocsc(), -b[free]))
+        if np.isfinite(step).all() and float(step @ b[free]) < 0:  # downhill, as of a positive definite system
+            return step
+    return None
 
 
 def _solved(H: Array, b: Array) -> Array | None:

@@ -65,10 +65,18 @@ def agreement(frame: list[F32], render: Render, weights: F32, detail: Detail = C
     total = float(w[valid].sum())
     if total <= 0 or float(w[known].sum()) < SEEN_MIN * total:
         return 0.0
-    share, weight, correlation, texture = _blocks(frame[level], np.asarray(seen, np.float32), known, w)
+    return share_alike(frame[level], np.asarray(seen, np.float32), known, w, detail.alike)
+
+
+def share_alike(frame: F32, seen: F32, known: NDArray[np.bool_], weights: F32, alike: float) -> float:
+    """Share (0..1) of the textured blocks of ``frame`` that correlate with ``seen`` by more than ``alike``.
+
+    All (h, w); known: where both have a value. 1 where nothing has texture.
+    """
+    share, weight, correlation, texture = _blocks(frame, seen, known, weights)
     usable = (share >= KNOWN_SHARE) & (texture > TEXTURE_MIN)
     counted = float(weight[usable].sum())
-    return float(weight[usable & (correlation > detail.alike)].sum()) / counted if counted > 0 else 1.0
+    return float(weight[usable & (correlation > alike)].sum()) / counted if counted > 0 else 1.0
 
 
 def _blocks(frame: F32, seen: F32, known: NDArray[np.bool_], weights: F32) -> tuple[F32, F32, F32, F32]:

@@ -207,6 +207,10 @@ class RevisitOptions(Options):
     overlap_min: float = option(0.6, "share of the view that an old reference must share")
     prior_translation: float = option(1.0, "standard deviation of a position that has drifted", unit="depths", above=0)
     prior_rotation: float = option(0.5, "standard deviation of a rotation that has drifted", unit="rad", above=0)
+    alike: int = option(6, "old references that are compared because they look alike, at most; 0: none")
+    agree: float = option(0.5, "share of fine blocks of an image that such a reference must explain", maximum=1.0)
+    turn_max: float = option(5.0, "turn by which such an alignment may contradict the poses so far", unit="degrees")
+    drift_max: float = option(0.01, "drift of the position since then that it may take out, over the way", maximum=1.0)
 
 
 @dataclass(frozen=True)

@@ -180,16 +180,21 @@ class FactorGraph:
         after = optimise_trajectory(before, factors, prior, np.arange(lo, count) < free)
         # Noise in the poses before would pass for length; those after have little.
         shrunk = [log_scale(_relative(after, f), _relative(before, f)) for f in factors]
-        poses, free_indices = dict(zip(indices, after)), frozenset(indices[max(free - lo, 0) :])
+        poses, stretch = dict(zip(indices, after)), float(np.exp(-np.mean(shrunk)))
         if self._reversed:  # those before do not come first in the order of tracking, and must not follow
             poses |= {f.index: trajectory[f.index] for f in self.frames[:lo]}
-        return Correction(poses, True, free_indices, float(np.exp(-np.mean(shrunk))))
+        return Correction(poses, True, dict.fromkeys(indices[max(free - lo, 0) :], stretch))
+
+    @property
+    def drifted(self) -> bool:
+        """A place was recognised that the poses so far have elsewhere."""
+        return self.revisits is not None and self.revisits.drifted
 
     def optimise_with_revisits(self, trajectory: AnchoredTrajectory, scene_depth: float) -> Correction:
         """Poses of all references that minimise the costs of all factors there were, if the camera came back."""
         if self.revisits is None or self._reversed:
             return Correction({})
-        return Correction(self.revisits.optimise(trajectory, scene_depth), moves_world=True)
+        return self.revisits.optimise(trajectory, scene_depth)
 
 
 def _relative(T_wc: NDArray[np.float64], factor: BundleFactor) -> NDArray[np.float64]:

@@ -33,6 +33,7 @@ class BackgroundJobs:
     ) -> None:
         self.mapper, self.trajectory, self.graph, self.lag, self.width = mapper, trajectory, graph, lag, width
         self.jobs = [
+            Job(lambda: graph.drifted, self.close_loop, trajectory=True),
             Job(lambda: graph.changed, self.optimise_trajectory, trajectory=True),
             Job(graph.overdue, self.make_factor, trajectory=True),
             Job(lambda: lag.can_insert, self.insert_depth),
@@ -61,7 +62,7 @@ class BackgroundJobs:
             self._make_factor_of(k)
         if self.graph.changed:
             self.optimise_trajectory(scene_depth)
-        self.trajectory.correct(self.graph.optimise_with_revisits(self.trajectory, scene_depth))
+        self.close_loop(scene_depth)
         self.lag.sweep_last(scene_depth)
         self.lag.insert()
         self.mapper.optimiser.work_all()
@@ -71,6 +72,10 @@ class BackgroundJobs:
     def optimise_trajectory(self, _: float) -> None:
         """Correct the poses to those that minimise the factors' costs."""
         self.trajectory.correct(self.graph.optimise(self.trajectory, self.mapper.scene_depth))
+
+    def close_loop(self, _: float) -> None:
+        """Correct all poses, and the map, once a place is recognised that they have elsewhere."""
+        self.trajectory.correct(self.graph.optimise_with_revisits(self.trajectory, self.mapper.scene_depth))
 
     def make_factor(self, _: float) -> None:
         """Make the bundle-adjustment factor that is due, if one is."""

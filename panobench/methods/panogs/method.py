@@ -341,8 +341,8 @@ class PanogsMethod(OnlineMethod):
             poses = {index: make_pose(T[:3, :3], metres * T[:3, 3]) for index, T in here.items()}
         else:
             return None
-        everywhere = frozenset(v.index for v in self.trajectory.keyframes)
-        self.trajectory.correct(Correction(poses, True, everywhere, metres))
+        everywhere = dict.fromkeys((v.index for v in self.trajectory.keyframes), metres)
+        self.trajectory.correct(Correction(poses, True, everywhere))
         self.in_metres = True
         if self.rig:
             self.rig.scale.lenses.units_per_metre = 1.0

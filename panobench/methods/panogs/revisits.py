@@ -1,8 +1,9 @@
 """Loop factors from revisits: places the camera comes back to tie the whole trajectory together.
 
 A bundle-adjustment factor does not care when its frames were taken. Where the camera returns, the reference is compared
-with old references that stood there long before; this ties the visits together at one scale. At the end the trajectory
-that minimises all factors' costs is solved for, over references only: the frames between them follow.
+with old references that stood there long before; this ties the visits together at one scale. The trajectory that
+minimises all factors' costs is solved for over references only, and the frames between them follow: at once where a
+place is recognised that the poses so far have elsewhere, and at the end.
 """
 
 from __future__ import annotations
@@ -13,19 +14,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import invert_pose
+from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.config import RevisitOptions
-from panobench.methods.panogs.trajectory import AnchoredTrajectory
+from panobench.methods.panogs.recognition import Recogniser, Way
+from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.photometric.align import Alignment, align
 from panobench.photometric.bundle import BundleOptions, refine
 from panobench.photometric.pose_factors import BundleFactor, PosePrior, marginalise, optimise_trajectory
 from panobench.photometric.pyramid import F32, pyramid
-from panobench.photometric.reference import Reference, make_reference
+from panobench.photometric.reference import AlignOptions, Reference, make_reference
 from panobench.photometric.stereo import WorkingScale
 
 Pose = NDArray[np.float64]
 #: One pixel in 5 x 5, at half the size of other factors.
 BUNDLE = BundleOptions(cell_px=5, iterations=6, cut=5.0)
+#: A loop moves poses far: more steps than the fit of the last frames needs.
+ITERATIONS = 20
+
+
+#: A place that was left long ago may have been exposed otherwise.
+EXPOSED = AlignOptions(exposure=True)
+#: References on either side between which a correction's change of length is measured.
+AROUND = 3
 
 
 @dataclass
@@ -37,68 +47,123 @@ class _Reference:
     luma: NDArray[np.uint8]
 
 
+@dataclass(frozen=True)
+class _View:
+    """What the newest reference sees: luma and radial depth (h, w), NaN where unknown, and both made to align to."""
+
+    luma: F32
+    depth_map: F32
+    reference: Reference
+
+    @property
+    def depth(self) -> float:
+        """The median."""
+        return float(np.nanmedian(self.depth_map))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A reference that was aligned to the newest. luma (h, w): at the newest's exposure. drifted: it is elsewhere than
+    the poses so far have it.
+    """
+
+    reference: _Reference
+    luma: F32
+    alignment: Alignment
+    drifted: bool = False
+
+
 class RevisitFactors:
-    """All references so far with small images of theirs, and the factors over these alone."""
+    """All references so far with small images of theirs, and the factors over these alone.
+
+    revisits: how many factors have frames of more than one visit. drifted: one of them contradicts the poses so far.
+    """
 
     def __init__(self, scale: WorkingScale, options: RevisitOptions) -> None:
         self.scale, self.options = scale, options
         self.references: list[_Reference] = []
         self.factors: list[BundleFactor] = []
-        self.revisits = 0  # factors over frames of more than one visit
+        self.recogniser, self.way = Recogniser(scale, options), Way()
+        self.revisits, self.drifted = 0, False
 
     def add(self, number: int, index: int, luma: F32, factor: BundleFactor | None) -> None:
         """A reference, its luma (h, w) at the working size and its factor over other references, if it has one."""
         known = np.nan_to_num(luma) * np.float32(255)
         self.references.append(_Reference(number, index, np.clip(np.rint(known), 0, 255).astype(np.uint8)))
+        self.recogniser.add(luma)
         if factor is not None:
             self.factors.append(factor)
 
     def look(self, trajectory: AnchoredTrajectory, depth_map: F32) -> bool:
-        """Compare the newest reference with old ones where it stands; True if some were recognised.
+        """Compare the newest reference with old ones where it stands, or that look like it; True if it knows some.
 
         depth_map (H, W): radial depth of the newest, NaN where unknown.
         """
-        newest, s = self.references[-1], self.scale
-        T_wr = trajectory[newest.index]
-        old = self._old_nearby(trajectory, T_wr, depth_map)
-        if not old:
-            return False
+        s, newest = self.scale, self.references[-1]
         small = cv2.resize(depth_map, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST)
         known = np.where(s.valid & np.isfinite(small), small, np.nan).astype(np.float32)
-        levels = self._pyramid(newest)
-        reference = make_reference(s.camera, levels[0], known, len(levels))
-        recent = self.references[-1 - self.options.recent : -1]
-        aligned = [self._align(reference, r, invert_pose(trajectory[r.index]) @ T_wr) for r in [*recent, *old]]
-        good = self._good(recent, old, aligned)
-        if len(good) < len(recent) + 2:
+        old = [n for n, r in enumerate(self.references) if r.number <= newest.number - self.options.old]
+        if not old or not np.isfinite(known).any():
             return False
-        images = np.stack([self._luma(r) for r, _ in good])
-        T_fr = np.stack([a.T_fr for _, a in good])
+        levels = self._pyramid(newest)
+        view = _View(levels[0], known, make_reference(s.camera, levels[0], known, len(levels)))
+        recent = [self._align(view, r, trajectory) for r in self.references[-1 - self.options.recent : -1]]
+        seen = self._nearby(view, recent, trajectory, old)
+        if len(seen) < 2:
+            seen = self._alike(view, trajectory, old)
+        recent = [one for one in recent if self._is_right(view, one, trajectory)]
+        if len(seen) < 2 or not recent:
+            return False
+        T_fr = np.stack([one.alignment.T_fr for one in [*recent, *seen]])
+        images = np.stack([one.luma for one in [*recent, *seen]])
         bundle = refine(levels[0], s.rays, np.nan_to_num(known), images, T_fr, s.code, s.cam, BUNDLE)
         if bundle.ok:
-            self.factors.append(BundleFactor(newest.number, np.array([r.number for r, _ in good]), bundle))
+            numbers = [one.reference.number for one in [*recent, *seen]]
+            self.factors.append(BundleFactor(newest.number, np.array(numbers), bundle))
+            self.way.ties += [(self._position(one.reference), len(self.references) - 1) for one in seen]
+            self.drifted |= any(one.drifted for one in seen)
             self.revisits += 1
         return bundle.ok
 
-    def _good(
-        self, recent: list[_Reference], old: list[_Reference], aligned: list[Alignment]
-    ) -> list[tuple[_Reference, Alignment]]:
-        """All recent references, and the old ones that are seen as well as these are."""
-        o = self.options
-        limit = o.cost_max * float(np.median([a.cost for a in aligned[: len(recent)]]))
-        pairs = list(zip([*recent, *old], aligned))
-        seen = [(r, a) for r, a in pairs[len(recent) :] if a.cost < limit and a.overlap > o.overlap_min]
-        return pairs[: len(recent)] + seen
+    def _nearby(self, view: _View, recent: list[_Seen], trajectory: AnchoredTrajectory, old: list[int]) -> list[_Seen]:
+        """Old references (by their place in the list) near the newest, if they are seen as well as recent ones are."""
+        o, newest = self.options, trajectory[self.references[-1].index][:3, 3]
+        away = np.array([np.linalg.norm(trajectory[self.references[n].index][:3, 3] - newest) for n in old])
+        near = [old[k] for k in np.argsort(away, kind="stable")[: o.old_most] if away[k] < o.near * view.depth]
+        limit = o.cost_max * float(np.median([one.alignment.cost for one in recent]))
+        seen = [self._align(view, self.references[n], trajectory) for n in near]
+        seen = [one for one in seen if one.alignment.cost < limit and one.alignment.overlap > o.overlap_min]
+        return [one for one in seen if self._is_right(view, one, trajectory)]
 
-    def _old_nearby(self, trajectory: AnchoredTrajectory, T_wr: Pose, depth_map: F32) -> list[_Reference]:
-        """Old references near ``T_wr``, in units of the median of what it sees, the nearest first."""
-        o, newest = self.options, self.references[-1].number
-        old = [r for r in self.references if r.number <= newest - o.old]
-        if not old or not np.isfinite(depth_map).any():
-            return []
-        near = o.near * float(np.nanmedian(depth_map))
-        away = np.array([np.linalg.norm(trajectory[r.index][:3, 3] - T_wr[:3, 3]) for r in old])
-        return [old[k] for k in np.argsort(away, kind="stable")[: o.old_most] if away[k] < near]
+    def _alike(self, view: _View, trajectory: AnchoredTrajectory, old: list[int]) -> list[_Seen]:
+        """Old references that look like the newest and are not farther from where they should be than may be."""
+        o, newest = self.options, self.references[-1]
+        among = np.zeros(len(self.references), bool)
+        among[old] = True
+        positions = np.stack([trajectory[r.index][:3, 3] for r in self.references])
+        ways, near = self.way.lengths(positions), o.near * view.depth
+        seen = []
+        for n in self.recogniser.alike(among):
+            other = self.references[n]
+            start = trajectory.relative(newest.index, [other.index])[0]
+            turned = start.copy()
+            turned[:3, 3] = 0.0
+            levels = self._pyramid(other)
+            a = align(view.reference, levels, turned, EXPOSED)
+            drift = self.recogniser.drift(start, a)
+            one = _Seen(other, (levels[0] - np.float32(a.offset)) * np.float32(np.exp(-a.gain)), a, drift > near)
+            if drift < near + o.drift_max * ways[n] and self._is_right(view, one, trajectory):
+                seen.append(one)
+        return seen
+
+    def _is_right(self, view: _View, seen: _Seen, trajectory: AnchoredTrajectory) -> bool:
+        """Whether an alignment shows the other reference to be of the same place."""
+        start = trajectory.relative(self.references[-1].index, [seen.reference.index])[0]
+        return self.recogniser.is_right(view.luma, view.depth_map, seen.luma, start, seen.alignment)
+
+    def _position(self, reference: _Reference) -> int:
+        """Where a reference stands in the list."""
+        return int(np.searchsorted([r.number for r in self.references], reference.number))
 
     def _luma(self, reference: _Reference) -> F32:
         value = reference.luma / np.float32(255)
@@ -107,13 +172,22 @@ class RevisitFactors:
     def _pyramid(self, reference: _Reference) -> list[F32]:
         return pyramid(self._luma(reference))
 
-    def _align(self, reference: Reference, other: _Reference, T_fr: Pose) -> Alignment:
-        return align(reference, self._pyramid(other), T_fr)
+    def _align(self, view: _View, other: _Reference, trajectory: AnchoredTrajectory) -> _Seen:
+        """To the newest, from where the poses so far have it."""
+        levels = self._pyramid(other)
+        start = trajectory.relative(self.references[-1].index, [other.index])[0]
+        return _Seen(other, levels[0], align(view.reference, levels, start))
 
-    def optimise(self, trajectory: AnchoredTrajectory, scene_depth: float) -> dict[int, Pose]:
-        """T_wc by frame index of all references, minimising all costs; empty if the camera never came back."""
+    # -- the trajectory ----------------------------------------------------------------------------------------------
+
+    def optimise(self, trajectory: AnchoredTrajectory, scene_depth: float) -> Correction:
+        """Poses that minimise the costs of all factors over references; none if the camera never came back.
+
+        Frames between references follow the one before them, at the scale of the way to the next one.
+        """
+        self.drifted = False
         if not self.revisits:
-            return {}
+            return Correction({})
         o, numbers = self.options, np.array([r.number for r in self.references])  # ascending
         known = (marginalise(f, np.isin(f.frames, numbers)) for f in self.factors)
         factors = [
@@ -121,7 +195,37 @@ class RevisitFactors:
             for f in known
             if f is not None
         ]
-        before = np.stack([trajectory[r.index] for r in self.references])
+        indices = [r.index for r in self.references]
+        before = np.stack([trajectory[i] for i in indices])
         prior = PosePrior(o.prior_translation * scene_depth, o.prior_rotation)
-        after = optimise_trajectory(before, factors, prior, np.arange(len(numbers)) < 1)
-        return {r.index: T for r, T in zip(self.references, after)}
+        held = np.arange(len(numbers)) < 1
+        after = optimise_trajectory(before, factors, prior, held, iterations=ITERATIONS)
+        return between(trajectory, indices, before, after)
+
+
+def between(trajectory: AnchoredTrajectory, indices: list[int], before: Pose, after: Pose) -> Correction:
+    """The correction of all frames from that of references ``indices``, T_wc (N, 4, 4) before and after.
+
+    A frame stays where it was relative to the reference before it, its distance stretched as distances between the
+    references around it are.
+    """
+    stretch = stretches(before[:, :3, 3], after[:, :3, 3])
+    poses, grown, at = {}, {}, -1
+    number = {index: n for n, index in enumerate(indices)}
+    for index in trajectory:
+        at = number.get(index, at)
+        if at < 0:
+            continue
+        relative = invert_pose(before[at]) @ trajectory[index]
+        relative[:3, 3] *= stretch[at]
+        poses[index], grown[index] = renormalise(after[at] @ relative), float(stretch[at])
+    return Correction(poses, True, grown)
+
+
+def stretches(before: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,): by which the way around each of N positions (N, 3) has grown, over a few of them on either side."""
+    ways = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))) for p in (before, after)]
+    n = np.arange(len(before))
+    lo, hi = np.maximum(n - AROUND, 0), np.minimum(n + AROUND, len(before) - 1)
+    own, new = (way[hi] - way[lo] for way in ways)
+    return np.where((own > 0) & (new > 0), new / np.maximum(own, 1e-12), 1.0)

@@ -7,7 +7,7 @@ world, not of poses within it, also moves what is expressed in the world: the ma
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -24,14 +24,13 @@ Pose = NDArray[np.float64]
 class Correction:
     """New poses T_wc (4, 4) by frame index.
 
-    moves_world: the map goes along, and so do the frames tracked after the first corrected one. stretch: factor by
-    which distances between the frames in ``free`` have grown; the Gaussians of keyframes among these grow with it.
+    moves_world: the map goes along, and so do the frames tracked after the first corrected one. stretch: by frame
+    index, the factor by which distances around it have grown; the Gaussians of a keyframe grow with it.
     """
 
     poses: dict[int, Pose]
     moves_world: bool = False
-    free: frozenset[int] = frozenset()
-    stretch: float = 1.0
+    stretch: Mapping[int, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ class AnchoredTrajectory:
         before = {index: self[index] for index in order[since:]}
         after, newest = propagate(before, correction.poses)
         motions = [
-            keyframe_motion(before[k.index], after[k.index], correction.stretch if k.index in correction.free else 1.0)
+            keyframe_motion(before[k.index], after[k.index], correction.stretch.get(k.index, 1.0))
             if k.index in after
             else Sim3(1.0, np.eye(3), np.zeros(3))
             for k in self.keyframes

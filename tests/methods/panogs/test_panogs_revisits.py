@@ -9,9 +9,11 @@ from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs.config import FactorOptions, RevisitOptions
 from panobench.methods.panogs.factors import FactorGraph
-from panobench.methods.panogs.revisits import RevisitFactors, _Reference
+from panobench.methods.panogs.recognition import Way
+from panobench.methods.panogs.revisits import RevisitFactors, _Reference, between, stretches
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
+from panobench.photometric import pose_factors
 from panobench.photometric.bundle import Bundle
 from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pose_factors import BundleFactor, marginalise
@@ -23,7 +25,9 @@ THERE = 18
 ORDER = [*range(THERE), *range(THERE - 1, -1, -1)]
 
 
-def back_and_forth(drift: float, old: int = 16) -> tuple[np.ndarray, AnchoredTrajectory, RevisitFactors]:
+def back_and_forth(
+    drift: float, old: int = 16, **options: float
+) -> tuple[np.ndarray, AnchoredTrajectory, RevisitFactors]:
     """True poses, those a tracker with a drift of so much a frame would have found, and what was seen on the way."""
     sequence = RoomsDataset().open("tiny", width=128)
     assert sequence.groundtruth is not None
@@ -36,7 +40,7 @@ def back_and_forth(drift: float, old: int = 16) -> tuple[np.ndarray, AnchoredTra
     trajectory.add_keyframe(first_view, 0.0)
     for k in range(1, len(ORDER)):
         trajectory.add(k, k / 15, found[k], first_view)
-    seen = RevisitFactors(scale, RevisitOptions(old=old))
+    seen = RevisitFactors(scale, RevisitOptions(old=old, **options))
     graph = FactorGraph(scale, ViewWidth.WIDE, FactorOptions(reach=4, renew_after=8, every=2), seen)
     for k, i in enumerate(ORDER):
         graph.add(k, luma_of_frame(sequence.image(i), scale.valid))
@@ -55,18 +59,73 @@ def error(T: np.ndarray, truth: np.ndarray) -> float:
 def test_coming_back_takes_out_the_drift() -> None:
     truth, trajectory, seen = back_and_forth(0.003)
     assert seen.revisits >= 3
-    closed = seen.optimise(trajectory, 2.0)
-    numbers = sorted(closed)
-    assert numbers == list(range(0, len(ORDER), 2))
+    closed = seen.optimise(trajectory, 2.0).poses
+    assert sorted(closed) == list(range(len(ORDER)))  # also those between references
+    numbers = list(range(0, len(ORDER), 2))
     after = np.stack([closed[n] for n in numbers])
     assert error(after, truth[numbers]) < 0.2 * error(np.stack([trajectory[n] for n in numbers]), truth[numbers])
     np.testing.assert_allclose(closed[0], trajectory[0], atol=1e-12)
 
 
+def test_a_place_is_recognised_by_its_look_wherever_the_poses_have_it() -> None:
+    truth, trajectory, seen = back_and_forth(0.01, near=0.0, drift_max=1.0)
+    assert seen.revisits >= 3
+    assert seen.drifted
+    before = np.stack([trajectory[k] for k in range(len(ORDER))])
+    trajectory.correct(seen.optimise(trajectory, 2.0))
+    assert not seen.drifted
+    assert error(np.stack([trajectory[k] for k in range(len(ORDER))]), truth) < 0.2 * error(before, truth)
+
+
+@pytest.mark.parametrize("option", [{"alike": 0}, {"drift_max": 0.0}, {"turn_max": 0.0}, {"agree": 1.0}])
+def test_a_look_alike_that_a_check_refuses_changes_nothing(option: dict[str, float]) -> None:
+    _, _, seen = back_and_forth(0.01, **{"near": 0.0, "drift_max": 1.0} | option)
+    assert seen.revisits == 0
+    assert not seen.drifted
+    assert seen.way.ties == []
+
+
+def test_ties_shorten_the_way() -> None:
+    positions = np.stack([np.arange(10.0), np.zeros(10), np.zeros(10)], axis=1)
+    positions[9] = [1.0, 2.0, 0.0]
+    assert Way().lengths(positions)[1] == pytest.approx(7 + np.hypot(7, 2))
+    tied = Way([(1, 8)]).lengths(positions)
+    assert tied[1] == pytest.approx(7 + np.hypot(7, 2))  # the tie is as long as the places are apart so far
+    assert Way([(1, 9)]).lengths(positions)[1] == pytest.approx(2.0)
+    assert Way().lengths(np.zeros((3, 3))).max() < 1e-9
+
+
+def test_frames_between_references_follow_them_at_their_scale() -> None:
+    trajectory = AnchoredTrajectory()
+    first = View(0, np.zeros((1, 1, 3), np.uint8), np.eye(4))
+    trajectory.add_keyframe(first, 0.0)
+    for k in range(1, 13):
+        trajectory.add(k, float(k), se3_exp(np.array([0.1 * k, 0, 0, 0, 0, 0])), first)
+    indices = [0, 4, 8]
+    before = np.stack([trajectory[i] for i in indices])
+    turn = se3_exp(np.array([0, 0, 0, 0, 0.5, 0]))
+    after = turn @ np.stack([se3_exp(np.array([0.3 * i, 0, 0, 0, 0, 0])) for i in indices])
+    fixed = between(trajectory, indices, before, after)
+    for k in range(13):
+        np.testing.assert_allclose(fixed.poses[k], turn @ se3_exp(np.array([0.3 * k, 0, 0, 0, 0, 0])), atol=1e-9)
+    assert fixed.moves_world
+    np.testing.assert_allclose(list(fixed.stretch.values()), 3.0)
+    assert stretches(np.zeros((4, 3)), np.zeros((4, 3))).tolist() == [1.0] * 4
+
+
+def test_many_poses_are_solved_for_as_few_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, trajectory, seen = back_and_forth(0.003)
+    few = seen.optimise(trajectory, 2.0).poses
+    monkeypatch.setattr(pose_factors, "MANY", 3)
+    many = seen.optimise(trajectory, 2.0).poses
+    for k in few:
+        np.testing.assert_allclose(many[k], few[k], atol=1e-7)
+
+
 def test_without_a_revisit_nothing_moves() -> None:
     _, trajectory, seen = back_and_forth(0.003, old=1000)
     assert seen.revisits == 0
-    assert seen.optimise(trajectory, 2.0) == {}
+    assert seen.optimise(trajectory, 2.0).poses == {}
 
 
 def test_another_place_that_is_taken_for_this_one_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:

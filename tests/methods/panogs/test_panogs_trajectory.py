@@ -67,7 +67,7 @@ def test_a_correction_of_poses_moves_them_and_nothing_else() -> None:
 
 def test_a_correction_of_the_world_takes_along_what_follows() -> None:
     trajectory, follower = tracked()
-    trajectory.correct(Correction({2: pose(2), 4: TURN @ pose(4)}, True, frozenset({4}), 1.1))
+    trajectory.correct(Correction({2: pose(2), 4: TURN @ pose(4)}, True, {4: 1.1}))
     for i in range(8):
         np.testing.assert_allclose(trajectory[i], (TURN if i >= 4 else np.eye(4)) @ pose(i), atol=1e-12)
     (motion,) = follower.motions
