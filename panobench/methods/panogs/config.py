@@ -141,6 +141,9 @@ class MovingOptions(Options):
     error: float = option(0.16, "colour error from which a frame contradicts the map", unit="of 1")
     share: float = option(0.012, "share of a frame that must have changed for anything to be left out")
     confirmed: float = option(0.03, "mean difference up to which later frames confirm what a frame shows", unit="of 1")
+    seen_through: float = option(
+        0.2, "share of the views with an opinion on a Gaussian that must see through it for it to go", maximum=1.0
+    )
 
 
 @dataclass(frozen=True)

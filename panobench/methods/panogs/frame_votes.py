@@ -51,6 +51,9 @@ class FrameVotes:
         area = np.where(self.scale.valid, self.scale.camera.solid_angle(), 0.0)
         self._area = area / area.sum()
 
+    def __len__(self) -> int:
+        return len(self._frames)
+
     def add(self, frame: Frame) -> None:
         """A frame that was tracked."""
         if frame.mappable:

@@ -112,7 +112,7 @@ class MapOptimiser:
         With more than one, every tenth view is left out of them: each round is twice as long as the one before, and
         the last is the one that no longer brings the pictures of those views ``final_gain``.
         """
-        views, o = self._views(), self.options
+        views, o = self.views(), self.options
         iterations = o.final_iterations * len(self.trajectory.keyframes)
         if o.final_rounds <= 1:
             self.polish(iterations, views)
@@ -127,7 +127,7 @@ class MapOptimiser:
                 return
             before = now
 
-    def _views(self) -> list[View]:
+    def views(self) -> list[View]:
         """Keyframes and other frames that have an image, each once."""
         every = {id(v): v for v in [*self.trajectory.keyframes, *self.trajectory.frames]}.values()
         return [v for v in every if v.image.size]
@@ -149,7 +149,7 @@ class MapOptimiser:
         At constant rates single-view steps never converge: what one view wants, the next one takes back. Nothing is
         tracked on the map any more, so discs may leave their plane freely.
         """
-        views = self._views() if views is None else views
+        views = self.views() if views is None else views
         views = self._fewer_blurred(views) or views
         order = [int(i) for _ in range(iterations // max(len(views), 1) + 1) for i in self.rng.permutation(len(views))]
         for k, i in enumerate(order[:iterations]):

@@ -79,7 +79,7 @@ class Mapper:
         """The first map, from the first keyframe and its radial depth (H, W)."""
         depth_map = fill_depth(depth_map, self.camera.kind == "erp")
         self.optimiser.scene_depth = float(np.nanmedian(depth_map))
-        self._seed(view, depth_map, *self.pattern.seeds(view.image, view.visible, self.rng))
+        self.seed(view, depth_map, *self.pattern.seeds(view.image, view.visible, self.rng))
         render = self.renderer.forward(self.map.gaussians, view.T_wc, count_touched=True)
         view.seen = self._seen(render)
         self.add_keyframe(view, [view], time)
@@ -214,7 +214,7 @@ class Mapper:
         if len(pixels) == 0:
             return 0
         depth_map = self._guessed_depth(render) if swept is None else swept
-        return self._seed(view, depth_map, pixels, spacing)
+        return self.seed(view, depth_map, pixels, spacing)
 
     def _guessed_depth(self, render: Render) -> F32:
         """(H, W): the rendered depth, perturbed where it is a guess."""
@@ -268,7 +268,8 @@ class Mapper:
         gone[which] = True
         return self.map.drop(gone)
 
-    def _seed(self, view: View, depth_map: F32, pixels: NDArray[np.float64], spacing: NDArray[np.float64]) -> int:
+    def seed(self, view: View, depth_map: F32, pixels: NDArray[np.float64], spacing: NDArray[np.float64]) -> int:
+        """New Gaussians at ``pixels`` (M, 2) of ``view``, ``spacing`` (M,) pixels apart; returns how many."""
         o = self.config.seeding
         new = seed_gaussians(
             self.camera, view.image, depth_map, pixels, view.T_wc, spacing,

@@ -28,6 +28,7 @@ from panobench.methods.panogs.continuation import add_places, continue_map, save
 from panobench.methods.panogs.exposure import ExposureMatcher
 from panobench.methods.panogs.factors import FactorGraph
 from panobench.methods.panogs.fixed_lag import FixedLag
+from panobench.methods.panogs.ghosts import remove_ghosts
 from panobench.methods.panogs.jobs import BackgroundJobs
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.place_recognition import Places
@@ -293,6 +294,8 @@ class PanogsMethod(OnlineMethod):
         self._begin(self.first_frames.finish())
         self.jobs.finish()
         self._track_before_first()
+        if self.mapper.transients.active:
+            remove_ghosts(self.mapper, self.lag.votes)
         self.mapper.optimiser.finish()
         unit = self.rig.unit(self.tracker.pixel, self.mapper.scene_depth) if self.rig else None
         metric = self._to_metres(unit)
