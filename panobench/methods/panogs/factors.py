@@ -31,6 +31,8 @@ BUNDLE = {
 }
 #: Cells are not smaller than this where part of a wide view is hidden, pixels.
 SMALLEST_CELL = 3
+#: Frames among the last of which one may get another image.
+RECENT = 8
 
 
 def bundle_options(scale: WorkingScale, width: ViewWidth) -> BundleOptions:
@@ -80,6 +82,12 @@ class FactorGraph:
         old = len(self.frames) - 1 - o.renew_after - o.reach - o.every - o.late
         if old > o.reach + 1:  # the very first are needed again if frames before them are tracked (``reverse``)
             self.frames[old - 1].luma = None
+
+    def replace_luma(self, index: int, luma: F32) -> None:
+        """Another luma (h, w) of one of the last frames, by its index in the sequence."""
+        for frame in self.frames[-RECENT:]:
+            if frame.index == index:
+                frame.luma = luma
 
     def reverse(self) -> None:
         """The next frames go on from the first one, backwards in time."""

@@ -60,6 +60,16 @@ class FrameBuffer:
         self._frames.append(BufferedFrame(frame.index, frame.image, sweep, fine, frame.mappable, frame.mask))
         return self._frames[-1]
 
+    def find(self, index: int) -> BufferedFrame | None:
+        """The frame of that index in the sequence, if it is here."""
+        return next((frame for frame in self._frames if frame.index == index), None)
+
+    def replace_image(self, frame: BufferedFrame, image: NDArray[np.uint8], pyramid: list[F32]) -> F32:
+        """Another image (H, W, 3) of a buffered frame, with its luma pyramid; returns its luma at the fine size."""
+        sweep, fine = (pyramid[min(s.level, len(pyramid) - 1)] for s in (self.sweep_scale, self.fine_scale))
+        frame.image, frame.luma, frame.fine = image, sweep, fine
+        return fine
+
     def clear(self) -> None:
         """The next frame does not follow the buffered ones."""
         self._frames.clear()

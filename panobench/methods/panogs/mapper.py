@@ -27,6 +27,8 @@ from panobench.splat.render import Render, Renderer
 from panobench.types import Frame
 
 Mask = NDArray[np.bool_]
+#: Frames among the last of which one may get another image.
+RECENT = 8
 
 
 class Mapper:
@@ -135,6 +137,12 @@ class Mapper:
         frames.append(view)
         if len(frames) > self.config.mapping.frame_pool:
             self.optimiser.forget_image(frames.pop(int(self.rng.integers(len(frames)))))
+
+    def replace_image(self, index: int, image: NDArray[np.uint8]) -> None:
+        """Another image (H, W, 3) of one of the last frames, by its index in the sequence."""
+        for view in (*self.window, *self.trajectory.frames[-RECENT:]):
+            if view.index == index and view.image.size:
+                view.image = image
 
     def plan_for_new(self, before: int) -> None:
         """Steps at once for what the map has gained on ``before`` Gaussians: the next frames are tracked on it."""

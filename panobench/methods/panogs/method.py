@@ -30,6 +30,7 @@ from panobench.methods.panogs.factors import FactorGraph
 from panobench.methods.panogs.fixed_lag import FixedLag
 from panobench.methods.panogs.ghosts import remove_ghosts
 from panobench.methods.panogs.jobs import BackgroundJobs
+from panobench.methods.panogs.late_rates import LateRates, renew_image
 from panobench.methods.panogs.mapper import Mapper
 from panobench.methods.panogs.place_recognition import Places
 from panobench.methods.panogs.rectify import Rectifier
@@ -98,6 +99,7 @@ class PanogsMethod(OnlineMethod):
         stitch = StitchOptions() if self.rig else c.stitch  # the panorama of a rig is not stitched
         self.shutter, self.seam = RollingShutter(camera, rows), Seam(camera, stitch)
         self.rectifier = Rectifier(camera, self.shutter, self.seam)
+        self.late_rates = LateRates(self.rectifier, self.trajectory)
         self.exposure = ExposureMatcher(self.mapper.weights, width, c.exposure)
         self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)
         buffer = self.lag.buffer
@@ -186,6 +188,7 @@ class PanogsMethod(OnlineMethod):
             if travels or self.shutter.differ(measured, rate) or self.seam.lenses is not None:
                 depth_map = tracked.render.expected_depth(0.5)
                 image = self.rectifier.rectified(given.image, measured, velocity, depth_map)
+                self.late_rates.add(given.index, given.time, given.image, depth_map)
                 frame = replace(given, image=image, mask=self.seam.visible(depth_map, given.mask))
                 self.tracker.reset(before, invert_pose(before) @ tracked.T_wc)
                 tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
@@ -197,6 +200,7 @@ class PanogsMethod(OnlineMethod):
         if image is frame.image:
             return frame
         self.tracker.pyramid = self.tracker.frame_pyramid(image, frame.mask)
+        self.late_rates.forget()
         return replace(frame, image=image)
 
     def _record(self, frame: Frame, tracked: Tracked, scene_depth: float) -> None:
@@ -205,6 +209,8 @@ class PanogsMethod(OnlineMethod):
         buffered = self.lag.buffer.add(frame, self.tracker.pyramid, tracked.T_wc[:3, 3], scene_depth)
         if buffered:
             self.graph.add(frame.index, buffered.fine)
+        if self.shutter.enabled:
+            renew_image(self.late_rates, self.tracker, self.mapper, self.lag.buffer, self.graph)
         self.lag.votes.add(frame)
         moved = partial(self.lag.votes.moved, tracked.T_wc, tracked.render, frame.image)
         self.tracker.hidden = hidden = self.mapper.transients.look(frame.image, tracked.render, moved, frame.mask)

@@ -68,7 +68,7 @@ class RollingShutter:
     def measured(self, index: int, time: float, T_wc: Pose) -> tuple[Pose, Pose]:
         """Angular velocity (3,) and velocity (3,), in the camera's axes, of a frame just tracked at ``T_wc`` (4, 4).
 
-        Half an interval after the newest step, on the parabola through it and the two before, as far as there are any.
+        By the cubic through this pose and the three before, as far as there are any.
         """
         if index in self._known:
             return self._known[index]
@@ -78,7 +78,7 @@ class RollingShutter:
         if len(self._steps) < 2:
             now = newest + 0.5 * (newest - self._steps[-1]) if self._steps else newest
         else:
-            now = 1.875 * newest - 1.25 * self._steps[-1] + 0.375 * self._steps[-2]
+            now = (11 * newest - 7 * self._steps[-1] + 2 * self._steps[-2]) / 6
         return now[:3], T_wc[:3, :3].T @ now[3:]
 
     def record(self, time: float, T_wc: Pose) -> None:
