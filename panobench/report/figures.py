@@ -60,11 +60,16 @@ def upright(runs: Sequence[Run]) -> Array:
 
 
 def log_axis(values: Sequence[float]) -> dict[str, Any]:
-    """Axis settings for positive values: logarithmic, labelled at 1, 2 and 5 times powers of ten."""
+    """Axis settings for positive values: logarithmic, labelled at 1, 2 and 5 times powers of ten, two at least."""
     low, high = math.floor(math.log10(min(values))), math.ceil(math.log10(max(values)))
     steps = (1, 2, 5) if high - low <= 3 else (1,)
     ticks = [step * 10.0**k for k in range(low, high + 1) for step in steps]
-    return {"type": "log", "tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
+    axis: dict[str, Any] = {"type": "log", "tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
+    if sum(min(values) <= tick <= max(values) for tick in ticks) < 2:
+        below = max(tick for tick in ticks if tick <= min(values) * (1 + 1e-9))
+        above = min(tick for tick in ticks if tick > max(values))
+        axis["range"] = [math.log10(below) - 0.03, math.log10(above) + 0.03]
+    return axis
 
 
 def value_axis(values: Sequence[float | None]) -> dict[str, Any]:

@@ -52,9 +52,10 @@ def published_block(
     partial = {
         s: why for s in sequences if s in names and (why := _part(dataset, [r for r in runs if r.sequence == s]))
     }
+    alike = {why: [s for s in partial if partial[s] == why] for why in partial.values()}
     left_out = tuple(
-        f"Published figures for {sequence} are of the whole sequence, and left out: {why}."
-        for sequence, why in partial.items()
+        f"Published figures for {', '.join(of)} are of the whole sequence, and left out: {why}."
+        for why, of in alike.items()
     )
     if set(partial) >= set(sequences) & set(names):
         return Block(notes=left_out)

@@ -154,3 +154,12 @@ def test_paper_has_the_path_before_any_script_has_drawn_it(make_run):
     numbers = [float(v) for v in re.findall(r"[\d.]+(?=[,\s\"])", svg.split('points="')[1].split('"')[0] + " ")]
     assert min(numbers) >= 0
     assert max(numbers) <= 320
+
+
+@pytest.mark.parametrize("values", [[0.33, 0.37], [2.9, 3.8], [1.0, 1.0], [6.0, 9.0], [0.02, 300.0], [5.0, 5.0]])
+def test_an_axis_of_values_that_lie_close_together_has_labels(values: list[float]) -> None:
+    axis = figures.log_axis(values)
+    low, high = axis.get("range", np.log10([min(values), max(values)]))
+    assert low <= np.log10(min(values)) <= np.log10(max(values)) <= high
+    shown = [text for tick, text in zip(axis["tickvals"], axis["ticktext"]) if low <= np.log10(tick) <= high]
+    assert len(shown) >= 2
