@@ -164,6 +164,7 @@ def _environment() -> jinja2.Environment:
     )
     environment.filters["safe_json"] = safe_json
     environment.filters["breakable"] = breakable
+    environment.filters["whole_options"] = whole_options
     environment.globals["facet_values"] = facet_values
     environment.globals["flag_titles"] = {
         **CAUTIONS,
@@ -176,7 +177,12 @@ def _environment() -> jinja2.Environment:
 
 def breakable(text: str) -> Markup:
     """The text, escaped, with places where a narrow column may break long names of options."""
-    return Markup(re.sub(r"([_=:/])(?=\w)", r"\1<wbr>", str(escape(text))))
+    return Markup(re.sub(r"([_=:/](?=\w)|(?<=[a-z])\.(?=[a-z]))", r"\1<wbr>", str(escape(text))))
+
+
+def whole_options(command: str) -> Markup:
+    """A command, escaped, whose options do not break at their hyphens."""
+    return Markup(re.sub(r"(?<!\S)(--?[a-z][\w-]*)", r'<span class="option">\1</span>', str(escape(command))))
 
 
 def asides(table: Table, row: Row) -> str:

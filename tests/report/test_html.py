@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import html
 import json
 import re
 import subprocess
@@ -14,7 +15,7 @@ from panobench.cli.main import run as panobench
 from panobench.errors import UnknownNameError, UsageError
 from panobench.report import images
 from panobench.report.build import choose_format, write_report
-from panobench.report.html import safe_json
+from panobench.report.html import safe_json, whole_options
 from panobench.splat.ply import write_ply
 
 EVIL = "<script>window.pwned=1</script>\"'><img src=x onerror=window.pwned=1>"
@@ -107,7 +108,7 @@ def test_single_run_lists_its_measurements_and_says_why_one_is_missing(make_run,
     edit(folder, lambda d: d.update(notes={"lpips": "n/a: no AlexNet weights"}))
     text = page([folder], tmp_path)
     assert "n/a: no AlexNet weights" in text
-    assert "panobench run --method panogs" in text
+    assert 'panobench run <span class="option">--method</span> panogs' in text
     assert "21\u202f034 Gaussians" in text
 
 
@@ -250,3 +251,10 @@ def test_maps_and_pages_to_walk_through_them_go_beside_the_page(make_run, tmp_pa
     assert len(links) == 1
     assert "panogs on room1" in (tmp_path / links[0]).read_text(encoding="utf-8")
     assert "walk-" not in page([folder], tmp_path), "without --assets there is one file"
+
+
+def test_options_of_a_command_do_not_break_and_stay_as_they_are() -> None:
+    command = "panobench run --max-frames 120 -o 'a b--c' --set x.y=<1>"
+    made = str(whole_options(command))
+    assert made.count('<span class="option">') == 3
+    assert html.unescape(re.sub(r"</?span[^>]*>", "", made)) == command
