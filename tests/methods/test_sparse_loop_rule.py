@@ -31,7 +31,7 @@ def close(monkeypatch: pytest.MonkeyPatch, degrees: float, knows_scale: bool) ->
     loop = SimpleNamespace(old=0, correction=turn)
     monkeypatch.setattr(module, "detect_loop", lambda *a, **k: loop)
     monkeypatch.setattr(module, "close_loop", lambda *a: np.ones(2))
-    monkeypatch.setattr(module, "adjust_window", lambda *a: 0.0)
+    monkeypatch.setattr(module, "adjust_window", lambda *a, **k: 0.0)
     method._close_loop(session, [], m.keyframes[1])
     method.pool.shutdown()
     return session, said

@@ -13,11 +13,13 @@ from panobench.methods.sparse.descriptors import describe
 from panobench.methods.sparse.detect import detect_corners
 from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, Keyframe, PointMap
+from panobench.methods.sparse.pose import deviation
 
 Array = NDArray[np.float64]
 
-#: Observations with a larger residual after bundle adjustment are dropped, pixels.
-OUTLIER_PX = 3.0
+#: Observations with a residual of so many deviations after bundle adjustment are dropped, but none below the first and
+#: all above the second number of pixels.
+OUTLIER_SIGMAS, OUTLIER_PX = 5.0, (1.0, 3.0)
 #: Most fixed keyframes outside the window in a local bundle adjustment.
 MAX_FIXED = 10
 
@@ -103,12 +105,19 @@ def drop_lost_candidates(m: PointMap, misses: int = 3) -> None:
 
 
 def adjust_window(
-    m: PointMap, config: SparseConfig, focal: float, members: list[int], iterations: int, free_scale: bool = False
+    m: PointMap,
+    config: SparseConfig,
+    focal: float,
+    members: list[int],
+    iterations: int,
+    free_scale: bool = False,
+    settled: bool = True,
 ) -> float:
     """Bundle adjustment of some keyframes and the points they see. Other keyframes that see the points are fixed.
 
     Drops outlier observations, and points with fewer than two observations left. Returns the RMS in pixels. The scale
-    of a rig's map, which a few keyframes hardly tell, is held by the first two unless it is to be free.
+    of a rig's map, which a few keyframes hardly tell, is held by the first two unless it is to be free. Unless the map
+    is ``settled``, as it is not after a loop, residuals of a few deviations may be right, and stay.
     """
     chosen = np.zeros(m.size, bool)
     for number in members:
@@ -134,7 +143,8 @@ def adjust_window(
     for number, pose, held in zip(numbers, result.T_cw, fixed):
         if not held:
             m.keyframes[number].T_cw = pose
-    outlier = result.errors > OUTLIER_PX
+    least, most = OUTLIER_PX
+    outlier = result.errors > (np.clip(OUTLIER_SIGMAS * deviation(result.errors), least, most) if settled else most)
     for number in np.unique(kf[outlier]):
         key = m.keyframes[number]
         lost = np.zeros(len(key.points), bool)

@@ -263,7 +263,7 @@ class SparseMethod(OnlineMethod):
             self.context.log(f"frame {key.frame}: a loop that turns the camera by {turned:.1f} degrees is refused")
             return
         scales = close_loop(m, loop, session.records, self.face_set.focal)
-        adjust_window(m, self.config, self.face_set.focal, [k.number for k in m.keyframes], 10)
+        adjust_window(m, self.config, self.face_set.focal, [k.number for k in m.keyframes], 10, settled=False)
         session.velocity[:3, 3] *= scales[key.number]
         session.last_loop = key.number
         session.loops += 1

@@ -161,6 +161,11 @@ def origins_of(origins: Array | None, count: int) -> Array:
     return np.zeros((count, 3)) if origins is None else np.ascontiguousarray(origins, dtype=np.float64)
 
 
+def deviation(errors: Array) -> float:
+    """Of residuals per axis, by the median of their lengths (N,) in pixels, as of a Rayleigh distribution."""
+    return float(np.median(errors)) / 1.1774 if len(errors) else 0.0
+
+
 def pose_errors(T_cw: Array, points: Array, bearings: Array, focal: float, origins: Array | None = None) -> Array:
     """Lengths (N,) of the residuals in pixels."""
     o = origins_of(origins, len(points))

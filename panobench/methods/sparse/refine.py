@@ -13,7 +13,7 @@ from panobench.geometry import invert_pose
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.mapping import adjust_window
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, PointMap
-from panobench.methods.sparse.pose import pose_errors, solve_pose
+from panobench.methods.sparse.pose import deviation, pose_errors, solve_pose
 from panobench.methods.sparse.rolling_shutter import Readout, RowBearings, estimate_readout
 from panobench.methods.sparse.session import Session
 
@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 
 #: Rounds of turning bearings by the trajectory's angular velocities and adjusting it.
 SHUTTER_ROUNDS = 2
-#: A frame's own measurement further than this from its point, in pixels, has no say in its pose.
-NEAR_PX = 4.0
+#: A frame's own measurement so many deviations from its point has no say in its pose, but each below the first and none
+#: above the second number of pixels.
+NEAR_SIGMAS, NEAR_PX = 3.0, (0.6, 4.0)
 
 
 def refined_poses(session: Session, config: SparseConfig, focal: float) -> dict[int, Array]:
@@ -76,7 +77,8 @@ def _refit(m: PointMap, record: FrameRecord, T: Array, config: SparseConfig, foc
     alive = m.state[record.points] == ACTIVE
     X, b = m.position[record.points[alive]], record.bearings[alive].astype(np.float64)
     origins = m.lenses.origins(b)
-    near = pose_errors(T, X, b, focal, origins) < NEAR_PX
+    errors = pose_errors(T, X, b, focal, origins)
+    near = errors < np.clip(NEAR_SIGMAS * deviation(errors), *NEAR_PX)
     if int(near.sum()) < config.min_inliers:
         return T
     kept = None if origins is None else origins[near]

@@ -7,6 +7,8 @@ the scale is one of the unknowns.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +17,7 @@ from panobench.methods.sparse.bundle import pose_information
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.mapping import adjust_window, observations
 from panobench.methods.sparse.pointmap import ACTIVE, PointMap
-from panobench.methods.sparse.pose import pose_errors
+from panobench.methods.sparse.pose import deviation, pose_errors
 
 Array = NDArray[np.float64]
 
@@ -23,6 +25,8 @@ Array = NDArray[np.float64]
 FIRST, GROWTH = 6, 1.5
 #: Where the standard deviation is a larger share of the scale than this, it stays what it is.
 FREE_SIGMA = 0.3
+#: Huber threshold meanwhile, pixels: a change of scale moves all bearings, and a narrow threshold follows it slowly.
+HUBER_PX = 1.0
 
 
 def is_due(keyframes: int) -> bool:
@@ -37,7 +41,8 @@ def adjust_scale(m: PointMap, config: SparseConfig, focal: float, iterations: in
     """Adjust all keyframes, and the scale if it can be told. Returns the factor by which the map grew."""
     before = spread(m)
     free = scale_sigma(m, config, focal) < FREE_SIGMA
-    adjust_window(m, config, focal, [k.number for k in m.keyframes], iterations, free)
+    wide = replace(config, huber_px=max(config.huber_px, HUBER_PX))
+    adjust_window(m, wide, focal, [k.number for k in m.keyframes], iterations, free, settled=False)
     after = spread(m)
     return after / before if before > 0 else 1.0
 
@@ -69,8 +74,8 @@ def independent_sigma(m: PointMap, config: SparseConfig, focal: float) -> float:
     """The same if the errors of all measurements were independent.
 
     From the information of all poses with the first one fixed, points eliminated; the scale is taken to be the
-    logarithm of ``spread``. The residuals' deviation is that of their median, as of a Rayleigh distribution. Residuals
-    up to three of it inform fully: Huber's estimate is nearly as good as least squares' is without outliers.
+    logarithm of ``spread``. Residuals up to three deviations inform fully: Huber's estimate is nearly as good as least
+    squares' is without outliers.
     """
     seen = observations(m.keyframes, m.state == ACTIVE)
     if seen is None or len(m.keyframes) < 3 or not m.lenses.several:
@@ -83,7 +88,7 @@ def independent_sigma(m: PointMap, config: SparseConfig, focal: float) -> float:
     errors = np.concatenate(
         [pose_errors(T[k], m.position[pt[kf == k]], b[kf == k], focal, origins[kf == k]) for k in range(len(T))]
     )
-    sigma = float(np.median(errors)) / 1.1774
+    sigma = deviation(errors)
     whole = max(config.huber_px, 3 * sigma)
     S = pose_information(T, m.position[ids], kf, local, b, fixed, focal, whole, origins)
     away = m.centres() - m.centres()[0]

@@ -8,7 +8,6 @@ free as well, the adjustment hardly tells it from the scale.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,8 +23,6 @@ Array = NDArray[np.float64]
 
 #: The map's scale and the distance that follows from it are found in so many rounds.
 ROUNDS = 4
-#: Huber threshold meanwhile, pixels: leading bearings back moves all of them, and a narrow one follows slowly.
-HUBER_PX = 1.0
 
 
 def in_seam(bearings: Array) -> NDArray[np.bool_]:
@@ -42,7 +39,6 @@ def undo_stitching(
     for which the panorama was stitched, which is seldom known well.
     """
     given, grown = config.stitch_m, 1.0
-    wide = replace(config, huber_px=max(config.huber_px, HUBER_PX))
     for key in m.keyframes:
         key.drop(in_seam(key.bearings))
         key.measured = key.bearings
@@ -56,7 +52,7 @@ def undo_stitching(
         for key in m.keyframes:
             assert key.measured is not None
             key.bearings = lenses.seen(key.measured)
-        grown *= adjust_scale(m, wide, focal)
+        grown *= adjust_scale(m, config, focal)
     for key in m.keyframes:
         key.measured = None
     for record in records:
