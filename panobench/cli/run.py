@@ -149,8 +149,10 @@ def summary(folder: Path, record: RunRecord) -> str:
         value = record.number(key)
         if value is not None:
             lines.append(f"{label:18}{form.format(value * factor)}")
-    if record.mask is not None and record.mask.hidden:
-        lines.append(f"{'mask':18}{record.mask.hidden:.1%} of the view hidden ({mask_source(record.mask)})")
+    mask = record.mask
+    if mask is not None and (mask.hidden or mask.frames):
+        more = f" in all frames, more in {mask.frames} of them" if mask.frames else ""
+        lines.append(f"{'mask':18}{mask.hidden:.1%} of the view hidden{more} ({mask_source(mask)})")
     told = [word for word in cautions(record) if word != "doubtful"]  # the verdict's lines say that one
     lines += [f"{word}: {CAUTIONS[word].replace('’', chr(39))}" for word in told]
     lines += [f"note: {remark}" for remark in (*record.remarks, record.notes.get("ate_rotation_rmse_deg")) if remark]

@@ -75,14 +75,19 @@ class GeometryMask(MaskEstimator):
             return MaskEstimate(everything, ok=False, message=message, details=details)
         if share < LEAST:
             return MaskEstimate(everything, message="nothing moves with the camera", details=details)
-        message = f"{share:.1%} of the view moves with the camera"
         turns = frames.turns(votes, region)
         if turns is None:
+            message = f"{share:.1%} of the view moves with the camera"
             return MaskEstimate(everything & ~hidden, message=message, details=details)
         masks = TurnedMasks(panorama, hidden_region(panorama, *summed(votes, turns, panorama)), camera.rays(), turns)
-        always = np.all([~masks[i] for i in range(0, len(turns), max(len(turns) // SOME_FRAMES, 1))], axis=0)
+        some = [~masks[i] for i in range(0, len(turns), max(len(turns) // SOME_FRAMES, 1))]
+        always, area = np.all(some, axis=0), camera.with_mask(None).solid_angle()
+        share = float(np.mean([view_share(area, one) for one in some]))
         angle = float(np.degrees(max(np.linalg.norm(so3_log(R)) for R in turns)))
-        message += f" and turns in the picture, by up to {angle:.0f} degrees: each frame has a mask of its own"
+        message = (
+            f"{share:.1%} of the view moves with the camera and turns in the picture, by up to {angle:.0f} degrees: "
+            "each frame has a mask of its own"
+        )
         details["turned_deg"] = round(angle, 1)
         return MaskEstimate(everything & ~always, masks, True, message, details, everything & ~hidden)
 

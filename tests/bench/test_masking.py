@@ -233,6 +233,7 @@ def test_masks_of_single_frames_and_what_a_method_left_out_are_stored_and_drawn(
     folder, record = run(tmp_path, "walker", max_frames=4)
     assert record.mask is not None
     assert record.mask.frames == 1
+    assert "14.6% of the view hidden in all frames, more in 1 of them (walker)" in summary(folder, record)
     assert [p.name for p in (folder / "masks").iterdir()] == ["000002.png"]
     assert np.array_equal(read_mask_file(folder / "masks" / "000002.png", (128, 64)).valid, Walker.visible)
     assert np.array_equal(read_mask_file(folder / "moving" / "000002.png", (128, 64)).valid, moving)

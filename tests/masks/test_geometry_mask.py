@@ -72,6 +72,7 @@ def test_whoever_turns_in_a_levelled_picture_is_hidden_where_she_is() -> None:
         missed["frames"] += area[carrier & found.frames[i]].sum()
         missed["whole"] += area[carrier & found.whole].sum()
     assert missed["frames"] < 0.3 * missed["whole"]
+    assert "turns in the picture" in found.message
     with pytest.raises(KeyError):
         found.frames[len(sequence)]
 
