@@ -23,9 +23,17 @@ _KNOWN, _DARK, _SATURATED = 0.9, 0.06, 0.97
 #: Fewest blocks that give a gain.
 _ENOUGH = 24
 _RANGE = (0.2, 5.0)
+#: Standard deviation, in 8-bit levels, below which a frame shows nothing.
+_BLANK_LEVELS = 1.0
 
 
 Blocks = tuple[F32, NDArray[np.bool_]]
+
+
+def is_blank(image: NDArray[np.uint8], valid: NDArray[np.bool_]) -> bool:
+    """Nothing to align or to map: a closed shutter, a saturated sensor, fog. valid (H, W): the camera's view."""
+    _, deviation = cv2.meanStdDev(image, mask=valid.view(np.uint8))
+    return bool(deviation.max() < _BLANK_LEVELS)
 
 
 class ExposureMatcher:

@@ -11,7 +11,6 @@ from enum import Enum
 from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +24,7 @@ from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.config import PanogsConfig, StitchOptions
 from panobench.methods.panogs.continuation import add_places, continue_map, saved_map
-from panobench.methods.panogs.exposure import ExposureMatcher
+from panobench.methods.panogs.exposure import ExposureMatcher, is_blank
 from panobench.methods.panogs.factors import FactorGraph
 from panobench.methods.panogs.fixed_lag import FixedLag
 from panobench.methods.panogs.ghosts import remove_ghosts
@@ -52,8 +51,6 @@ from panobench.splat.view import Projection
 from panobench.types import DepthEstimate, Estimate, Frame, Trajectory
 
 Pose = NDArray[np.float64]
-#: Standard deviation, in 8-bit levels, below which a frame shows nothing.
-BLANK_LEVELS = 1.0
 
 
 class Phase(Enum):
@@ -127,7 +124,7 @@ class PanogsMethod(OnlineMethod):
         self.inertial.saw(frame.index, frame.time)
         if self.rig:
             frame = self.rig.frame(frame)
-        if self._is_blank(frame.image):
+        if is_blank(frame.image, self.tracker.valid):
             self._skip(frame)
             return self.trajectory.get(frame.index)
         self.mapper.optimiser.sharpness.look(frame.index, frame.image)
@@ -227,11 +224,6 @@ class PanogsMethod(OnlineMethod):
             self.places.add(self.places.thumbnail(self.tracker.pyramid[-1]))
             self.lag.sweep_wanted = True
             self._note(frame, agreement=agreement(self.tracker.pyramid, tracked.render, self.tracker.weights))
-
-    def _is_blank(self, image: NDArray[np.uint8]) -> bool:
-        """Nothing to align or to map: a closed shutter, a saturated sensor, fog."""
-        _, deviation = cv2.meanStdDev(image, mask=self.tracker.valid.view(np.uint8))
-        return bool(deviation.max() < BLANK_LEVELS)
 
     def _skip(self, frame: Frame) -> None:
         """No pose for this frame; the camera is expected to move on as before."""
