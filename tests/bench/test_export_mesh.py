@@ -67,6 +67,29 @@ def test_the_mesh_lies_on_the_surface_and_faces_the_camera(run: Any, tmp_path: P
     assert (blue > red)[points[:, 1] > 0.2].mean() > 0.99
 
 
+def test_the_frames_of_a_panorama_are_asked_where_they_can_be_read(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("skimage")
+    camera, asked = ErpCamera(128, 64), []
+    renderer = Renderer(camera)
+
+    def image(index: int) -> np.ndarray:
+        asked.append(index)
+        colour = renderer.forward(run.map, run.trajectory.T_wc[index]).colour
+        return np.rint(255 * np.clip(np.nan_to_num(colour), 0, 1)).astype(np.uint8)
+
+    sequence = SimpleNamespace(camera=camera, image=image)
+    monkeypatch.setattr("panobench.bench.export.frames.frames_of", lambda run: sequence)
+    stored = SimpleNamespace(**vars(run), camera=camera, frames={"time": run.trajectory.times})
+    FORMATS["mesh"].write(stored, tmp_path / "m.ply", ExportOptions(voxel=0.04))
+    assert asked == list(range(7))
+    vertex = PlyData.read(tmp_path / "m.ply")["vertex"]
+    radii = np.linalg.norm(np.stack([vertex[n] for n in "xyz"], axis=1), axis=1)
+    assert len(radii) > 1000
+    assert np.median(np.abs(radii - RADIUS)) < 0.02
+
+
 def test_voxels_that_make_no_mesh_are_refused(run: Any, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
     for voxel in (1e-4, 0.0, float("nan")):

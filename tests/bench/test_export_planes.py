@@ -105,9 +105,18 @@ def test_plain_walls_become_flat_and_the_ball_stays_round(truth: PosedPanoramas,
     ball = np.stack([cast(truth.rays(k), truth.T_wc[k, :3, 3])[1] for k in range(len(truth))])
     assert known[ball].mean() > 0.6
     assert np.median(error[ball & known]) < 0.7 * np.median(before[ball])
-    assert (error[ball & known] > 0.05).mean() < 0.15, "along its outline"
+    assert (error[ball & known] > 0.07).mean() < 0.1, "along its outline"
 
 
 def test_without_parallax_the_depth_is_the_maps(truth: PosedPanoramas) -> None:
     still = replace(truth, T_wc=np.repeat(truth.T_wc[:1], len(truth), axis=0))
     assert (corrected_depths(still, still.depth) == still.depth).all()
+
+
+def test_what_the_frames_do_not_show_keeps_the_maps_depth(bulging: PosedPanoramas) -> None:
+    seen = np.arange(128)[:, None].repeat(256, axis=1) < 90
+    scale = WorkingScale.of(ErpCamera(256, 128).with_mask(seen), 256)
+    luma = np.where(seen, bulging.luma, np.float32(np.nan))
+    made = corrected_depths(replace(bulging, luma=luma, scale=scale), bulging.depth)
+    assert np.array_equal(made[:, ~seen], bulging.depth[:, ~seen])
+    assert (made != bulging.depth)[:, seen].mean() > 0.8

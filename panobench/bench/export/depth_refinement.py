@@ -18,12 +18,14 @@ Float = NDArray[np.float32]
 
 #: Shells on each side of the depth, and the log of the ratio between neighbours.
 SHELLS, STEP = 10, 0.008
+#: Depth changes where this lowers the mean difference of luma (of 1) by more than that: not where nothing has texture.
+GAIN = 0.0005
 #: Pixels over which differences are averaged.
 WINDOW = 3
 
 
 def refined(views: PosedPanoramas, k: int, depth: Float) -> Float:
-    """(H, W): the radial depth near ``depth`` (H, W; finite) on which the frames agree best."""
+    """(H, W): the radial depth near ``depth`` (H, W; finite) on which the frames agree best, if they agree better."""
     o, numbers = SweepOptions(), np.arange(-SHELLS, SHELLS + 1)
     costs = [views.difference(k, depth * np.float32(np.exp(STEP * i)), WINDOW) for i in numbers]
     volume = np.ascontiguousarray(np.stack(costs, axis=-1), np.float32)
@@ -31,4 +33,6 @@ def refined(views: PosedPanoramas, k: int, depth: Float) -> Float:
     total = semi_global(volume, guide, np.float32(o.p1), np.float32(o.p2), np.float32(o.edge), True)
     factor, confidence = np.empty_like(depth), np.empty_like(depth)
     winner_takes_all(total, -SHELLS * STEP, STEP, factor, confidence)
-    return np.asarray(cv2.medianBlur(np.ascontiguousarray(depth * factor, np.float32), 5))
+    found = np.asarray(cv2.medianBlur(np.ascontiguousarray(depth * factor, np.float32), 5), np.float32)
+    better = views.difference(k, depth) - views.difference(k, found) > GAIN
+    return np.where(better, found, depth)

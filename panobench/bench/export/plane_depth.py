@@ -28,6 +28,9 @@ UNIT, MOST = 0.02, 3.0
 FREE = 0.7
 #: A plane whose depth differs from the map's by this part costs one, and one that differs by ``WIDEST`` is out.
 NEAR, WIDEST = 0.1, 0.3
+#: So large a part of a view's pixels on a plane must have a map's depth within ``SURE`` of it: a curved surface has
+#: many tangents, and lies near each for a little way.
+SUPPORT, SURE = 0.5, 0.02
 #: Off the planes, depth at which the frames disagree by more than this is left out.
 DOUBTED = 1.0
 #: Of the guided filter: reach in pixels, and the variance of luma that it smooths over.
@@ -51,8 +54,9 @@ def _corrected(views: PosedPanoramas, k: int, planes: Sequence[Plane], depth: Fl
         return depth
     size = depth.shape[::-1]
     free = refined(views, k, views.depth[k])
-    factor = np.where(_disagreement(views, k, free) < DOUBTED, free / views.depth[k], np.nan).astype(np.float32)
-    made = depth * cv2.resize(factor, size, interpolation=cv2.INTER_NEAREST)
+    factor = np.where(_disagreement(views, k, free) < DOUBTED, free / views.depth[k], np.nan)
+    factor[~views.scale.valid] = 1.0  # no frame says anything there
+    made = depth * cv2.resize(factor.astype(np.float32), size, interpolation=cv2.INTER_NEAREST)
     chosen = cv2.resize(_choose(views, k, planes), size, interpolation=cv2.INTER_NEAREST)
     rays = ErpCamera(*size).rays() @ views.T_wc[k, :3, :3].T
     for number, plane in enumerate(planes):
@@ -76,6 +80,11 @@ def _choose(views: PosedPanoramas, k: int, planes: Sequence[Plane]) -> NDArray[n
         cost = np.where(possible, _filtered(guide, np.where(possible, cost, _NEVER)), _NEVER)
         better = cost < least
         chosen[better], least = number, np.minimum(cost, least)
+    for number, plane in enumerate(planes):
+        on_it = chosen == number
+        off = np.abs(np.log(plane.depth(rays[on_it], centre) / mapped[on_it]))
+        if off.size and (off < SURE).mean() < SUPPORT:
+            chosen[on_it] = -1
     return chosen
 
 
