@@ -37,6 +37,10 @@ class KeyframeOptions(Options):
     keyframe_interval: int = option(
         5, "frames between two keyframes until the window is full for the first time", unit="frames"
     )
+    window_overlap_start: float = option(
+        0.4, "overlap with the newest keyframe at which one leaves the window, until the window is full once"
+    )
+    window_overlap: float = option(0.3, "the same afterwards")
     keyframe_overlap: float = option(0.9, "share of common Gaussians below which a moved frame becomes a keyframe")
     keyframe_min_rel: float = option(0.05, "translation that a keyframe of low overlap needs", unit="depths")
     keyframe_max_rel: float = option(0.08, "translation after which every frame becomes a keyframe", unit="depths")
@@ -69,6 +73,7 @@ class MappingOptions(Options):
     initial_update: int = option(100, "steps between two rounds of densification and pruning at the start", above=0)
     initial_fade: int = option(500, "step at the start at which all opacities are lowered once")
     mapping_iterations: int = option(150, "steps per keyframe")
+    joint_iterations: int = option(300, "steps on the keyframe that fills the window for the first time")
     window_views: int = option(
         8, "keyframes of the window in one step; fewer than the window: chosen at random", above=0
     )
@@ -102,6 +107,6 @@ class MonogsConfig(RenderingOptions, TrackingOptions, KeyframeOptions, GaussianO
 
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {"tracking_iterations": 50, "initial_iterations": 350, "mapping_iterations": 60, "window_views": 3,
-             "random_views": 1, "update_every": 60, "update_offset": 20},
+    "fast": {"tracking_iterations": 50, "initial_iterations": 350, "mapping_iterations": 60, "joint_iterations": 120,
+             "window_views": 3, "random_views": 1, "update_every": 60, "update_offset": 20},
 }  # fmt: skip

@@ -49,7 +49,7 @@ def median_depth(render: Render, shown: NDArray[np.bool_]) -> tuple[float, float
 
 
 class MonogsMapper:
-    """Owns the map and the window (newest first)."""
+    """Owns the map and the window (newest first). initialised: the window has been full once."""
 
     def __init__(self, camera: Camera, renderer: Renderer, config: MonogsConfig, rng: np.random.Generator) -> None:
         self.camera, self.config, self.rng = camera, config, rng
@@ -58,6 +58,7 @@ class MonogsMapper:
         self.trainer = GaussianTrainer(renderer, self.map, isotropy=config.isotropy)
         self.window: list[Keyframe] = []
         self.keyframes: list[Keyframe] = []
+        self.initialised = False
         self.steps = 0
 
     def keyframe(self, index: int, image: NDArray[np.uint8], T_wc: Array, gain: float, offset: float) -> Keyframe:
@@ -81,10 +82,11 @@ class MonogsMapper:
                 self._densify(0.005, 30 * c.extent, None)
             if step == c.initial_fade:
                 fade(self.map, 0.01)
+        self.steps = c.initial_iterations
         self._look()
 
     def extend(self, view: Keyframe, render: Render) -> bool:
-        """A further keyframe; False when one left the window for lack of overlap (see ``update_window``)."""
+        """A further keyframe; False when one left (``update_window``) before the window was full for the first time."""
         depth = render.expected_depth(OPAQUE)
         middle, spread = median_depth(render, view.weights > 0)
         if not np.isfinite(middle):
@@ -94,10 +96,11 @@ class MonogsMapper:
         noise = self.rng.standard_normal(depth.shape) * np.where(wild, 0.5 * spread, 0.2 * spread)
         depth = np.maximum(np.where(wild, middle, depth) + noise, 0.05 * middle)
         before = len(self.window)
-        self.window = update_window(self.window, view, self.config.window, self.map.ids)
+        least = self.config.window_overlap if self.initialised else self.config.window_overlap_start
+        self.window = update_window(self.window, view, self.config.window, self.map.ids, least)
         self.keyframes.append(view)
         self._insert(view, depth.astype(np.float32), self.config.later_share)
-        return not (before < self.config.window and len(self.window) <= before)
+        return self.initialised or len(self.window) > before
 
     def _insert(self, view: Keyframe, depth: F32, share: int) -> None:
         """Gaussians at one in ``share`` of the pixels shown, at radial ``depth`` (H, W)."""
@@ -137,7 +140,8 @@ class MonogsMapper:
             if k is not first
         }
         loss = 0.0
-        for _ in range(c.mapping_iterations):
+        fills = not self.initialised and len(self.window) == c.window
+        for _ in range(c.joint_iterations if fills else c.mapping_iterations):
             self.steps += 1
             views = self._chosen(self.window, c.window_views, newest=True) + self._chosen(others, c.random_views)
             results = self.trainer.step(views, self._rates())
@@ -214,11 +218,17 @@ class MonogsMapper:
             view.seen = self.seen(seen)
 
     def _prune_unconfirmed(self) -> None:
-        """With a full window: Gaussians of its newest three keyframes that at most three of them see go."""
+        """With a full window, Gaussians of its newest three keyframes that at most three of the window see go.
+
+        When it is full for the first time, all those that at most three see.
+        """
         if len(self.window) < self.config.window or not len(self.map):
             return
         seen = self._seen_by_window().sum(axis=0)
-        young = self.map.anchors >= sorted((k.number for k in self.window), reverse=True)[2]
+        young = self.map.anchors >= sorted((k.number for k in self.window), reverse=True)[min(2, len(self.window) - 1)]
+        if not self.initialised:
+            young[:] = True
+            self.initialised = True
         drop = young & (seen <= self.config.prune_seen)
         if drop.any() and not drop.all():
             self.map.keep(~drop)

@@ -34,17 +34,19 @@ def overlap(
     return both / total if total else 0.0
 
 
-def update_window(window: list[AnyView], newest: AnyView, size: int, ids: NDArray[np.int32]) -> list[AnyView]:
+def update_window(
+    window: list[AnyView], newest: AnyView, size: int, ids: NDArray[np.int32], overlap_min: float = OVERLAP_MIN
+) -> list[AnyView]:
     """Put ``newest`` in front of the window (newest first) and drop at most one view. ids (N,): of the map's Gaussians.
 
     The newest two are never dropped. The first candidate is the oldest view whose overlap with the newest is at most
-    ``OVERLAP_MIN``; else, if there are more than ``size`` views, the one that is far from the newest and close to the
+    ``overlap_min``; else, if there are more than ``size`` views, the one that is far from the newest and close to the
     others.
     """
     window = [newest, *window]
     assert newest.seen is not None
     for view in reversed(window[2:]):
-        if view.seen is not None and overlap(view.seen, newest.seen, ids, "smaller") <= OVERLAP_MIN:
+        if view.seen is not None and overlap(view.seen, newest.seen, ids, "smaller") <= overlap_min:
             return [w for w in window if w is not view]
     if len(window) <= size:
         return window
