@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 #: A loop that corrects the camera's rotation by more than this contradicts the gyroscope, which drifts by less.
 LOOP_TURN_DEG = 3.0
+#: One that corrects it by more than this is none without a gyroscope either: what is tracked from frame to frame drifts
+#: by less, while a room that looks alike from its other end asks for half a turn.
+DRIFT_TURN_DEG = 45.0
 
 
 class InertialStage:
@@ -59,8 +62,10 @@ class InertialStage:
         return self.predictor is not None and self.predictor.initial is not None
 
     def refuses_turn(self, degrees: float) -> bool:
-        """Whether a loop that turns the camera by so much cannot be one: the gyroscope knows which way it looks."""
-        return self.knows_scale and degrees > LOOP_TURN_DEG
+        """Whether a loop that turns the camera by so much cannot be one: the gyroscope knows which way it looks, and
+        without one the frames so far know it roughly.
+        """
+        return degrees > (LOOP_TURN_DEG if self.knows_scale else DRIFT_TURN_DEG)
 
     def saw(self, index: int, time_s: float) -> None:
         """A frame was given, whether it gets a pose or not."""
