@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from panobench.geometry import make_pose
-from panobench.rooms.motion import closed_spline, rotations
+from panobench.rooms.motion import closed_spline
+from panobench.rooms.walks import STEPS_HZ, Sway, on_the_head
 from panobench.types import Trajectory
 
 Array = NDArray[np.float64]
 
 #: Of the poses, which splines go through, Hz.
 POSE_RATE_HZ = 100.0
-#: Steps per second of a brisk walk; amplitudes of its sway: metres up, sideways and ahead, radians of yaw, pitch, roll.
-STEPS_HZ = 1.8
+#: Amplitudes of a brisk walk's sway: metres up, sideways and ahead, radians of yaw, pitch, roll.
 _SWAY = np.array([0.038, 0.018, 0.008])
 _TILT = np.deg2rad([1.2, 0.7, 0.9])
 #: Corners are taken so slowly that no more acceleration points sideways, m/s^2; speeding up takes this long, s.
@@ -60,19 +59,16 @@ def stroll(walk: Array, options: StrollOptions, margin_s: float = 0.3) -> Trajec
     times = np.arange(n) / POSE_RATE_HZ - margin_s
     path, length = closed_spline(walk if options.seed % 2 == 0 else walk[::-1])
     s, speed = _progress(path, length, float(rng.uniform(0, length)), times, options)
-    place, course = path(s % length), path(s % length, 1)
-    ahead = np.unwrap(np.arctan2(course[:, 1], course[:, 0]))
-    yaw = gaussian_filter1d(ahead, _LOOKING_S * POSE_RATE_HZ, mode="nearest") + _glances(times, options, rng)
+    glances = _glances(times, options, rng)
     pitch = np.deg2rad(4.0) * np.sin(2 * np.pi * times / 5.3 + rng.uniform(0, 2 * np.pi))
     roll = np.deg2rad(2.0) * np.sin(2 * np.pi * times / 7.1 + rng.uniform(0, 2 * np.pi))
     up, aside, forward, tilts = _sway(times, speed / options.speed, options.gait, rng)
-    R = rotations(yaw + tilts[0], pitch + tilts[1], roll + tilts[2])
-    along = np.stack([np.cos(ahead), np.sin(ahead), np.zeros(n)], axis=-1)
-    across = np.stack([along[:, 1], -along[:, 0], np.zeros(n)], axis=-1)
     # Nobody walks the same line twice.
     drift = 0.08 * np.sin(2 * np.pi * s / (1.37 * length) + rng.uniform(0, 2 * np.pi)) + aside
-    place = place + forward[:, None] * along + drift[:, None] * across + up[:, None] * [0.0, 0.0, 1.0]
-    return Trajectory(times, make_pose(R, place))
+    place, course = path(s % length), path(s % length, 1)
+    sway, turns = Sway(up, drift, forward), [glances, tilts[0]]
+    delay = _LOOKING_S * POSE_RATE_HZ
+    return Trajectory(times, on_the_head(place, course, delay, turns, pitch + tilts[1], roll + tilts[2], sway))
 
 
 def _progress(

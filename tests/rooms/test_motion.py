@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from panobench.geometry import so3_log
-from panobench.rooms import motion
+from panobench.rooms import motion, walks
 from panobench.rooms.kinds import KINDS
 from panobench.rooms.trace import clearances
 
@@ -36,3 +36,21 @@ def test_yaw_pitch_and_roll() -> None:
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
     leaning = motion.rotations(np.zeros(1), np.zeros(1), np.array([0.2]))[0]
     assert leaning[2, 0] < 0  # the camera's right side points down
+
+
+def test_a_head_is_carried_along_a_path_looks_ahead_and_sways_in_its_own_axes() -> None:
+    x = np.linspace(0.0, 3.0, 40)
+    place = np.stack([x, 2 * x, np.full(40, 1.6)], axis=1)
+    course, still = np.tile([1.0, 2.0, 0.0], (40, 1)), np.zeros(40)
+    up, aside, forward = 0.03 * np.sin(5 * x), 0.02 * np.cos(3 * x), 0.01 * np.sin(x)
+    plain = walks.on_the_head(place, course, 4.0, [], still, still, walks.Sway(still, still))
+    assert np.allclose(plain[:, :3, 3], place, atol=0)
+    assert np.allclose(plain[:, :3, 2], [1 / 5**0.5, 2 / 5**0.5, 0.0]), "z looks where the walk goes"
+    assert np.allclose(plain[:, :3, 1], [0.0, 0.0, -1.0]), "y points down"
+    swaying = walks.on_the_head(
+        place, course, 4.0, [still + 0.5, still - 0.2], still, still, walks.Sway(up, aside, forward)
+    )
+    moved = np.einsum("nji,nj->ni", plain[:, :3, :3], swaying[:, :3, 3] - place)
+    assert np.allclose(moved, np.stack([aside, -up, forward], axis=1))
+    turn = so3_log(np.swapaxes(plain[:, :3, :3], 1, 2) @ swaying[:, :3, :3])
+    assert np.allclose(np.abs(turn), [0.0, 0.3, 0.0])
