@@ -45,13 +45,25 @@ class ExposureMatcher:
         self.size = (_BLOCKS, max(round(_BLOCKS * h / w), 1))
         self.weights = cv2.resize(weights, self.size, interpolation=cv2.INTER_AREA).ravel()
         self._last: Blocks | None = None
+        self._total = 1.0
 
     def start(self, image: NDArray[np.uint8]) -> None:
         """This frame's exposure is the map's."""
+        self._last, self._total = (self._luma(image), self.weights > 0), 1.0
+
+    def follow(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The next frame after ``start`` or another one, while there is no map, at the exposure of the first.
+
+        By the gains from each frame to the next: what is in view changes along the way, but little between two frames.
+        """
+        if self._last is None or not self.enabled:
+            return image
+        self._total *= self.gain(image, self._last)
         self._last = (self._luma(image), self.weights > 0)
+        return self._scaled(image, self._total, self.options.least_before)
 
     def before(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The frame for tracking, judged by the last frame's render (at first by the first frame)."""
+        """The frame for tracking, judged by the last frame's render (at first by the frame of the first map)."""
         return (
             image
             if self._last is None or not self.enabled
@@ -78,7 +90,10 @@ class ExposureMatcher:
         return float(np.clip(ratio[order][np.searchsorted(total, 0.5 * total[-1])], *_RANGE))
 
     def _corrected(self, image: NDArray[np.uint8], reference: Blocks, least: float) -> NDArray[np.uint8]:
-        gain = self.gain(image, reference)
+        return self._scaled(image, self.gain(image, reference), least)
+
+    @staticmethod
+    def _scaled(image: NDArray[np.uint8], gain: float, least: float) -> NDArray[np.uint8]:
         if abs(np.log(gain)) < least:
             return image
         return np.asarray(cv2.convertScaleAbs(image, alpha=1.0 / gain))

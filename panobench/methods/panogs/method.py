@@ -192,9 +192,9 @@ class PanogsMethod(OnlineMethod):
         return frame, tracked
 
     def _at_map_exposure(self, frame: Frame, tracked: Tracked) -> Frame:
-        """The frame with its image at the map's exposure, judged by its own render."""
+        """The frame with its image at the map's exposure, judged by its own render; the pyramid is of this image."""
         image = self.exposure.after(frame.image, tracked.render)
-        if image is frame.image:
+        if image is self.tracker.image:
             return frame
         self.tracker.pyramid = self.tracker.frame_pyramid(image, frame.mask)
         self.late_rates.forget()
@@ -253,6 +253,7 @@ class PanogsMethod(OnlineMethod):
             lumas[first.index] = self._fine_luma(first)
             self.first_depth = self.rig.scale.start(start.depth, lumas, self.lag.buffer.fine_scale)
         view = View(first.index, first.image, np.eye(4), visible=first.mask)
+        self.exposure.start(first.image)
         self.shutter.record(first.time, view.T_wc)
         self.mapper.initialise(view, first.time, self.first_depth.depth)
         levels = self.tracker.frame_pyramid(view.image, first.mask)
@@ -355,7 +356,10 @@ class PanogsMethod(OnlineMethod):
             return
         self.lag.buffer.clear()
         self.graph.reverse()
-        self.tracker.restart(self.trajectory.keyframes[0].T_wc)
+        first = self.trajectory.keyframes[0]
+        self.tracker.restart(first.T_wc)
+        if first.image.size:
+            self.exposure.start(first.image)
         self.relocaliser.elsewhere()
         for frame in reversed(self.before_first):
             estimated = self.trajectory.pop(frame.index)

@@ -78,7 +78,7 @@ class Start:
 
     def _estimate(self, frame: Frame) -> DepthEstimate | None:
         if self.estimator is not None:
-            return self.estimator.add(replace(frame, image=self.exposure.before(frame.image)))
+            return self.estimator.add(replace(frame, image=self.exposure.follow(frame.image)))
         return DepthEstimate(np.full(frame.image.shape[:2], self.options.constant_depth, np.float32), frame.index)
 
     def _first_map(self, estimate: DepthEstimate) -> FirstMap:
@@ -109,12 +109,13 @@ class Start:
         estimator = self.context.make_depth()
         estimator.start(self.camera, self.context.seed)
         found: DepthEstimate | None = None
+        self.exposure.start(posed[0].image)
         for frame, rate in zip(posed, rates):
             image = self.rectifier.turned(frame.image, rate)
             if self.seam.lenses is not None:
                 depth_map = self._seen_from(estimate, frame.index)
                 image = self.rectifier.rectified(frame.image, rate, np.zeros(3), depth_map)
-            found = estimator.add(replace(frame, image=self.exposure.before(image)))
+            found = estimator.add(replace(frame, image=self.exposure.follow(image)))
             if found is not None:
                 break
         found = found or estimator.finish() or estimate

@@ -60,6 +60,7 @@ class Tracker:
         self.T_last: NDArray[np.float64] | None = None
         self.velocity = np.eye(4)
         self.costs: list[float] = []
+        self.image: NDArray[np.uint8] | None = None  # what was tracked last
         self.pyramid: list[F32] = []
 
     def reset(self, T_wc: NDArray[np.float64], velocity: NDArray[np.float64] | None = None) -> None:
@@ -102,7 +103,7 @@ class Tracker:
     ) -> Tracked:
         """Pose of ``image`` near the prediction."""
         start = self.predict()
-        self.pyramid = self.frame_pyramid(image, visible)
+        self.image, self.pyramid = image, self.frame_pyramid(image, visible)
         if self.options.solver == "adam":
             result = self._track_adam(image, gaussians, start)
         else:

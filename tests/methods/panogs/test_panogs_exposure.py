@@ -7,10 +7,16 @@ from panobench.bench.record import read_record
 from panobench.bench.request import RunRequest
 from panobench.bench.runner import execute
 from panobench.cameras.erp import ErpCamera
+from panobench.datasets.rooms import RoomsDataset
+from panobench.geometry import invert_pose
+from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import ExposureOptions
 from panobench.methods.panogs.exposure import ExposureMatcher
+from panobench.methods.panogs.method import PanogsMethod
+from panobench.methods.panogs.start import FirstMap
 from panobench.photometric.overlap import ViewWidth
 from panobench.splat.loss import pixel_weights
+from panobench.types import DepthEstimate, Frame
 
 CAMERA = ErpCamera(128, 64)
 
@@ -52,6 +58,53 @@ def test_neither_a_rotation_nor_an_occluder_is_a_change_of_exposure() -> None:
 def test_black_frames_have_no_gain() -> None:
     black = np.zeros_like(picture())
     assert matcher().before(black) is black
+
+
+def test_what_comes_into_view_before_there_is_a_map_is_no_change_of_exposure() -> None:
+    scene, m = picture(), matcher()
+    for column in range(0, 128, 4):  # in the end nothing is left of what the first frame showed, and all is darker
+        scene = scene.copy()
+        scene[:, column : column + 4] //= 2
+        assert m.follow(scene) is scene
+    assert m.before(scene // 2) is not scene
+
+
+def test_an_exposure_that_swings_before_there_is_a_map_is_followed() -> None:
+    m = matcher()
+    for gain in [*np.linspace(1.0, 0.6, 12), *np.linspace(0.6, 1.3, 20)]:
+        back = m.follow(np.clip(picture() * gain, 0, 255).astype(np.uint8))
+        np.testing.assert_allclose(back.astype(float), picture().astype(float), atol=8)
+
+
+def test_the_first_frame_after_that_of_the_map_is_compared_with_it() -> None:
+    """Not with the very first frame, which may have shown something else."""
+    sequence = RoomsDataset().open("tiny", width=128)
+    assert sequence.groundtruth is not None
+    depth = sequence.depth(8)
+    assert depth is not None
+    m = PanogsMethod()
+    m.start(sequence.camera, MethodContext(seed=0))
+    m.exposure.start(sequence.image(0) // 2)
+    frames = [Frame(k, k / 15, sequence.image(k)) for k in (8, 9, 10)]
+    m._begin(FirstMap(DepthEstimate(depth, 8), frames[0], frames))
+    assert m.tracker.image is not None
+    assert abs(float(m.tracker.image.mean()) - float(frames[2].image.mean())) < 3
+    true = invert_pose(sequence.groundtruth.T_wc[8]) @ sequence.groundtruth.T_wc[9]
+    assert np.linalg.norm(m.trajectory[9][:3, 3] - true[:3, 3]) < 0.01
+
+
+def test_what_waits_for_factors_has_the_exposure_that_is_mapped() -> None:
+    sequence = RoomsDataset().open("tiny", width=128)
+    depth = sequence.depth(0)
+    assert depth is not None
+    m = PanogsMethod()
+    m.start(sequence.camera, MethodContext(seed=0))
+    frames = [Frame(k, k / 15, sequence.image(k)) for k in (0, 1)]
+    m._begin(FirstMap(DepthEstimate(depth, 0), frames[0], frames[:1]))
+    m.exposure.start(sequence.image(0) // 2)  # wrong: the frame is tracked twice as dark as it is
+    m.exposure.before = lambda image: image // 2  # type: ignore[method-assign]
+    m.track(frames[1])
+    assert np.nanmean(m.tracker.pyramid[0]) == pytest.approx(frames[1].image.mean() / 255, rel=0.1)
 
 
 @pytest.mark.slow
