@@ -162,6 +162,14 @@ def test_any_bytes_give_a_clean_error(tmp_path: Path, content: bytes) -> None:
         read_suite(path)
 
 
+#: Packages under plugins/ whose methods a suite names.
+PACKAGES = {
+    "real-systems": {"panobench-stella-vslam", "panobench-orbslam3"},
+    "inertial-pal": {"panobench-vins-mono", "panobench-lf-vislam"},
+    "inertial-pinhole": {"panobench-vins-mono", "panobench-orbslam3"},
+}
+
+
 @pytest.mark.parametrize(
     "path", sorted((Path(__file__).parents[2] / "reports" / "suites").glob("*.yaml")), ids=lambda p: p.stem
 )
@@ -173,10 +181,9 @@ def test_the_suites_that_come_with_panobench_are_read_and_name_what_there_is(
     from panobench.plugins import registry
     from panobench.specs import MethodSpec
 
-    if path.stem == "real-systems":  # names methods of packages under plugins/
-        wanted = {"panobench-stella-vslam", "panobench-orbslam3"}
-        if not wanted <= {d.name for d in importlib.metadata.distributions()}:
-            pytest.skip("needs " + " and ".join(sorted(wanted)))
+    wanted = PACKAGES.get(path.stem, set())
+    if not wanted <= {d.name for d in importlib.metadata.distributions()}:
+        pytest.skip("needs " + " and ".join(sorted(wanted)))
     monkeypatch.delenv("PANOBENCH_DATA", raising=False)
     suite = read_suite(path)
     assert suite.name == path.stem
