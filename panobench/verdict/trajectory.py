@@ -14,6 +14,8 @@ from panobench.verdict.base import Evidence, falling
 COVERAGE_BAD = 0.5
 #: A step this many times as long as fast motion around it is a jump; steps before and after that are compared.
 JUMP, JUMP_BAD, AROUND = 4.0, 25.0, 15
+#: The same for both steps to a frame and back again. A camera that turns back goes by its usual steps.
+BESIDE, BESIDE_BAD = 1.3, 2.5
 #: Deviation of two methods' paths, over the path's length, that is as good as none, and that is as bad as it gets.
 AGREE, DISAGREE = 0.008, 0.03
 #: Frames that two trajectories must share to be compared, and the share of the frames given.
@@ -33,24 +35,33 @@ def coverage(tracked: int, given: int) -> Evidence:
 
 
 def steadiness(trajectory: Trajectory) -> Evidence:
-    """Jumps: steps far longer than those around them."""
+    """Jumps: steps far longer than those around them; and single frames beside the path, there and back."""
     if len(trajectory) < AROUND:
         return Evidence("steadiness", 1.0, "too few poses to look for jumps")
-    speed = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1) / np.diff(trajectory.times)
-    worst, where = 0.0, 0
-    floor = 0.2 * float(np.quantile(speed, 0.9))
-    for k in range(len(speed)):
-        around = np.delete(speed[max(k - AROUND, 0) : k + AROUND + 1], min(k, AROUND))
-        usual = max(float(np.quantile(around, 0.9)), floor)
-        if usual > 0 and speed[k] / usual > worst:
-            worst, where = float(speed[k] / usual), k
-    trust = falling(worst, JUMP, JUMP_BAD)
+    moves = np.diff(trajectory.positions, axis=0) / np.diff(trajectory.times)[:, None]
+    speed = np.linalg.norm(moves, axis=1)
+    lengths = speed / np.maximum(_usual(speed), 1e-12)
+    back = np.einsum("ni,ni->n", moves[:-1], moves[1:]) < 0
+    beside = np.where(back, np.minimum(lengths[:-1], lengths[1:]), 0.0)
+    jump, aside = int(np.argmax(lengths)), int(np.argmax(beside))
+    evidence = [
+        ("the path jumps", falling(float(lengths[jump]), JUMP, JUMP_BAD), jump, float(lengths[jump])),
+        ("one frame lies beside the path", falling(float(beside[aside]), BESIDE, BESIDE_BAD), aside, beside[aside]),
+    ]
+    what, trust, where, times = min(evidence, key=lambda e: e[1])
     if trust == 1.0:
         return Evidence("steadiness", 1.0, "the path has no jumps")
     return Evidence(
-        "steadiness", trust, f"the path jumps at {trajectory.times[where + 1]:.2f} s, {worst:.0f} times the usual step",
+        "steadiness", trust, f"{what} at {trajectory.times[where + 1]:.2f} s, by {times:.1f} times the usual step",
         "look at the frames there: a cut, a blocked lens or a person close to the camera",
     )  # fmt: skip
+
+
+def _usual(speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,): how fast the camera moves around each of the steps (N,) when it is fast."""
+    floor = 0.2 * float(np.quantile(speed, 0.9))
+    around = (np.delete(speed[max(k - AROUND, 0) : k + AROUND + 1], min(k, AROUND)) for k in range(len(speed)))
+    return np.array([max(float(np.quantile(a, 0.9)), floor) for a in around])
 
 
 def second_method(trajectory: Trajectory, other: Trajectory, name: str, given: int) -> Evidence | None:

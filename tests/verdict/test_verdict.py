@@ -74,6 +74,22 @@ def test_a_jump_is_named_with_its_time() -> None:
     assert steadiness(walk()).trust == 1.0
 
 
+def test_a_frame_beside_the_path_is_named_with_its_time() -> None:
+    T = walk().T_wc.copy()
+    usual = float(np.linalg.norm(np.diff(walk().positions, axis=0), axis=1).max())
+    T[30, :3, 3] += [0.0, 2.5 * usual, 0.0]
+    evidence = steadiness(Trajectory(walk().times, T))
+    assert evidence.trust < 0.5
+    assert "beside the path at 2.00 s" in evidence.text
+
+
+def test_turning_back_is_not_beside_the_path() -> None:
+    there = walk(30).T_wc
+    assert steadiness(Trajectory(np.arange(60) / 15, np.concatenate([there, there[::-1]]))).trust == 1.0
+    zigzag = np.concatenate([walk(2).T_wc] * 30)
+    assert steadiness(Trajectory(np.arange(60) / 15, zigzag)).trust == 1.0
+
+
 def test_standing_still_and_starting_to_walk_is_no_jump() -> None:
     still = np.tile(np.eye(4), (40, 1, 1))
     going = walk(40).T_wc
