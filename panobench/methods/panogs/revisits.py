@@ -34,6 +34,8 @@ ITERATIONS = 20
 
 #: A place that was left long ago may have been exposed otherwise.
 EXPOSED = AlignOptions(exposure=True)
+#: Alignment finds places as far from each other as this, in depths.
+REACH = 1.0
 #: References on either side between which a correction's change of length is measured.
 AROUND = 3
 
@@ -73,6 +75,22 @@ class _Seen:
     drifted: bool = False
 
 
+@dataclass(frozen=True)
+class _Places:
+    """Old references by their place in the list.
+
+    near: those near the newest, the nearest first. possible (N,): those that may be, if the poses have drifted by the
+    most that is believed of them, ``drift`` (N,).
+    """
+
+    near: list[int]
+    possible: NDArray[np.bool_]
+    drift: NDArray[np.float64]
+
+    def __bool__(self) -> bool:
+        return bool(self.near) or bool(self.possible.any())
+
+
 class RevisitFactors:
     """All references so far with small images of theirs, and the factors over these alone.
 
@@ -102,15 +120,15 @@ class RevisitFactors:
         s, newest = self.scale, self.references[-1]
         small = cv2.resize(depth_map, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST)
         known = np.where(s.valid & np.isfinite(small), small, np.nan).astype(np.float32)
-        old = [n for n, r in enumerate(self.references) if r.number <= newest.number - self.options.old]
-        if not old or not np.isfinite(known).any():
+        places = self._places(trajectory, known)
+        if not places:
             return False
         levels = self._pyramid(newest)
         view = _View(levels[0], known, make_reference(s.camera, levels[0], known, len(levels)))
         recent = [self._align(view, r, trajectory) for r in self.references[-1 - self.options.recent : -1]]
-        seen = self._nearby(view, recent, trajectory, old)
+        seen = self._nearby(view, recent, trajectory, places.near)
         if len(seen) < 2:
-            seen = self._alike(view, trajectory, old)
+            seen = self._alike(view, trajectory, places)
         recent = [one for one in recent if self._is_right(view, one, trajectory)]
         if len(seen) < 2 or not recent:
             return False
@@ -125,25 +143,32 @@ class RevisitFactors:
             self.revisits += 1
         return bundle.ok
 
-    def _nearby(self, view: _View, recent: list[_Seen], trajectory: AnchoredTrajectory, old: list[int]) -> list[_Seen]:
-        """Old references (by their place in the list) near the newest, if they are seen as well as recent ones are."""
-        o, newest = self.options, trajectory[self.references[-1].index][:3, 3]
-        away = np.array([np.linalg.norm(trajectory[self.references[n].index][:3, 3] - newest) for n in old])
-        near = [old[k] for k in np.argsort(away, kind="stable")[: o.old_most] if away[k] < o.near * view.depth]
+    def _places(self, trajectory: AnchoredTrajectory, depth_map: F32) -> _Places:
+        """Where to look. depth_map (h, w): of the newest, NaN where unknown."""
+        o, numbers = self.options, np.array([r.number for r in self.references])
+        old = numbers <= numbers[-1] - o.old
+        if not old.any() or not np.isfinite(depth_map).any():
+            return _Places([], np.zeros(len(old), bool), np.zeros(len(old)))
+        depth = float(np.nanmedian(depth_map))
+        positions = np.stack([trajectory[r.index][:3, 3] for r in self.references])
+        away = np.where(old, np.linalg.norm(positions - positions[-1], axis=1), np.inf)
+        near = [int(n) for n in np.argsort(away, kind="stable")[: o.old_most] if away[n] < o.near * depth]
+        drift = o.near * depth + o.drift_max * self.way.lengths(positions)
+        return _Places(near, (away < drift + REACH * depth) & (o.alike > 0), drift)
+
+    def _nearby(self, view: _View, recent: list[_Seen], trajectory: AnchoredTrajectory, near: list[int]) -> list[_Seen]:
+        """Those of the references near the newest that are seen as well as recent ones are."""
+        o = self.options
         limit = o.cost_max * float(np.median([one.alignment.cost for one in recent]))
         seen = [self._align(view, self.references[n], trajectory) for n in near]
         seen = [one for one in seen if one.alignment.cost < limit and one.alignment.overlap > o.overlap_min]
         return [one for one in seen if self._is_right(view, one, trajectory)]
 
-    def _alike(self, view: _View, trajectory: AnchoredTrajectory, old: list[int]) -> list[_Seen]:
-        """Old references that look like the newest and are not farther from where they should be than may be."""
-        o, newest = self.options, self.references[-1]
-        among = np.zeros(len(self.references), bool)
-        among[old] = True
-        positions = np.stack([trajectory[r.index][:3, 3] for r in self.references])
-        ways, near = self.way.lengths(positions), o.near * view.depth
+    def _alike(self, view: _View, trajectory: AnchoredTrajectory, places: _Places) -> list[_Seen]:
+        """References that look like the newest and are not farther from where they should be than may be."""
+        newest, near = self.references[-1], self.options.near * view.depth
         seen = []
-        for n in self.recogniser.alike(among):
+        for n in self.recogniser.alike(places.possible):
             other = self.references[n]
             start = trajectory.relative(newest.index, [other.index])[0]
             turned = start.copy()
@@ -152,7 +177,7 @@ class RevisitFactors:
             a = align(view.reference, levels, turned, EXPOSED)
             drift = self.recogniser.drift(start, a)
             one = _Seen(other, (levels[0] - np.float32(a.offset)) * np.float32(np.exp(-a.gain)), a, drift > near)
-            if drift < near + o.drift_max * ways[n] and self._is_right(view, one, trajectory):
+            if drift < places.drift[n] and self._is_right(view, one, trajectory):
                 seen.append(one)
         return seen
 
