@@ -162,7 +162,7 @@ def test_only_frames_that_may_be_mapped_receive_depth() -> None:
 
 def test_the_map_never_sees_a_held_out_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: set[int] = set()
-    for owner, name in ((Mapper, "_seed"), (MapOptimiser, "step"), (Mapper, "split")):
+    for owner, name in ((Mapper, "seed"), (MapOptimiser, "step"), (Mapper, "split")):
         whole = getattr(owner, name)
 
         def spied(self: Any, view: View, *rest: Any, whole: Any = whole, **named: Any) -> Any:
