@@ -48,22 +48,28 @@ class Way:
 
 
 class Recogniser:
-    """Thumbnails of all references in their order, and the checks on those that look alike."""
+    """Thumbnails of all references in their order, and the checks on those that look alike.
+
+    newest: the newest reference's.
+    """
 
     def __init__(self, scale: WorkingScale, options: RevisitOptions) -> None:
         self.scale, self.options = scale, options
-        self.places, self.thumbnails = Places(scale.camera), list[Thumbnail]()
+        self.places = Places(scale.camera)
+        self.newest: Thumbnail | None = None
         self.weights = np.nan_to_num(scale.camera.solid_angle()).astype(np.float32)
         self.fine = FINE.for_camera(scale.camera)
 
     def add(self, luma: F32) -> None:
         """The newest reference's luma (h, w)."""
-        self.thumbnails.append(self.places.thumbnail(luma))
-        self.places.add(self.thumbnails[-1])
+        self.newest = self.places.thumbnail(luma)
+        self.places.add(self.newest)
 
     def alike(self, among: NDArray[np.bool_]) -> list[int]:
         """The references that look most like the newest, best first; among (N,): only these."""
-        return [m.number for m in self.places.find(self.thumbnails[-1], self.options.alike, among)]
+        if self.newest is None:
+            return []
+        return [m.number for m in self.places.find(self.newest, self.options.alike, among)]
 
     def is_right(self, luma: F32, depth_map: F32, old: F32, start: Pose, found: Alignment) -> bool:
         """Whether an alignment of an old reference, from the pose T_fr ``start``, shows it to be the newest's place.
