@@ -43,6 +43,7 @@ def steadiness(trajectory: Trajectory) -> Evidence:
     lengths = speed / np.maximum(_usual(speed), 1e-12)
     back = np.einsum("ni,ni->n", moves[:-1], moves[1:]) < 0
     beside = np.where(back, np.minimum(lengths[:-1], lengths[1:]), 0.0)
+    beside /= max(1.5 * float(np.quantile(beside, 0.98)), 1.0)  # of a slow camera all frames are a bit to the side
     jump, aside = int(np.argmax(lengths)), int(np.argmax(beside))
     evidence = [
         ("the path jumps", falling(float(lengths[jump]), JUMP, JUMP_BAD), jump, float(lengths[jump])),

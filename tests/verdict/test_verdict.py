@@ -90,6 +90,15 @@ def test_turning_back_is_not_beside_the_path() -> None:
     assert steadiness(Trajectory(np.arange(60) / 15, zigzag)).trust == 1.0
 
 
+def test_noise_of_a_slow_camera_is_not_beside_the_path() -> None:
+    rng = np.random.default_rng(0)
+    for speed in (0.0, 1e-4, 1e-3):
+        T = np.tile(np.eye(4), (3000, 1, 1))
+        T[:, 0, 3] = speed * np.arange(3000)
+        T[:, :3, 3] += rng.normal(0, 1e-3, (3000, 3))
+        assert steadiness(Trajectory(np.arange(3000) / 60, T)).trust == 1.0
+
+
 def test_standing_still_and_starting_to_walk_is_no_jump() -> None:
     still = np.tile(np.eye(4), (40, 1, 1))
     going = walk(40).T_wc
