@@ -65,8 +65,13 @@ def optimise_trajectory(
     free = np.flatnonzero(np.repeat(~held, 6))
     solve_for = _step_sparse if count > MANY else _step
     for _ in range(iterations if len(free) else 0):
-        b = unit * se3_log(T_cw @ invert_pose(before)).ravel()
-        step = solve_for(unit, b, [(_cells(f), *_linearise(f, T_cw)) for f in factors], free)
+        b, parts = unit * se3_log(T_cw @ invert_pose(before)).ravel(), []
+        for factor in factors:
+            A, g = _linearise(factor, T_cw)
+            cells = (6 * np.append(factor.frames, factor.reference)[:, None] + np.arange(6)).ravel()
+            parts.append((cells, A))
+            b[cells] += g
+        step = solve_for(unit, parts, -b[free], free)
         if step is None:
             break
         x = np.zeros(6 * count)
@@ -77,37 +82,32 @@ def optimise_trajectory(
     return invert_pose(T_cw)
 
 
-#: A factor's cells (6F + 6,) in the system, and its part of it: H (6F + 6, 6F + 6) and b.
-_Part = tuple[NDArray[np.int64], Array, Array]
+#: A factor's cells (6F + 6,) in the system, and its part of it (6F + 6, 6F + 6).
+_Part = tuple[NDArray[np.int64], Array]
 
 
-def _cells(factor: BundleFactor) -> NDArray[np.int64]:
-    return np.asarray((6 * np.append(factor.frames, factor.reference)[:, None] + np.arange(6)).ravel())
+def _step(unit: Array, parts: list[_Part], b: Array, free: NDArray[np.int64]) -> Array | None:
+    """The Gauss-Newton step of the ``free`` unknowns; None if there are no finite numbers.
 
-
-def _step(unit: Array, b: Array, parts: list[_Part], free: NDArray[np.int64]) -> Array | None:
-    """The Gauss-Newton step of the ``free`` unknowns; None if there are no finite numbers. unit, b: of the prior."""
-    H, b = np.diag(unit), b.copy()
-    for cells, A, g in parts:
+    unit: the prior's diagonal. b: the right-hand side, of the free unknowns alone.
+    """
+    H = np.diag(unit)
+    for cells, A in parts:
         H[cells[:, None], cells] += A
-        b[cells] += g
-    return _solved(H[free[:, None], free], -b[free])
+    return _solved(H[free[:, None], free], b)
 
 
-def _step_sparse(unit: Array, b: Array, parts: list[_Part], free: NDArray[np.int64]) -> Array | None:
+def _step_sparse(unit: Array, parts: list[_Part], b: Array, free: NDArray[np.int64]) -> Array | None:
     """The same for many poses."""
-    b = b.copy()
-    for cells, _, g in parts:
-        b[cells] += g
     if not np.isfinite(b).all():
         return None
-    rows = np.concatenate([np.repeat(cells, len(cells)) for cells, _, _ in parts])
-    columns = np.concatenate([np.tile(cells, len(cells)) for cells, _, _ in parts])
-    values = np.concatenate([A.ravel() for _, A, _ in parts])
+    rows = np.concatenate([np.repeat(cells, len(cells)) for cells, _ in parts])
+    columns = np.concatenate([np.tile(cells, len(cells)) for cells, _ in parts])
+    values = np.concatenate([A.ravel() for _, A in parts])
     H = (coo_matrix((values, (rows, columns)), (len(unit), len(unit))) + diags(unit)).tocsr()[free][:, free]
     for damping in DAMPING:
-        step = np.asarray(spsolve((H + damping * diags(np.abs(H.diagonal()))).tocsc(), -b[free]))
-        if np.isfinite(step).all() and float(step @ b[free]) < 0:  # downhill, as of a positive definite system
+        step = np.asarray(spsolve((H + damping * diags(np.abs(H.diagonal()))).tocsc(), b))
+        if np.isfinite(step).all() and float(step @ b) > 0:  # downhill, as of a positive definite system
             return step
     return None
 

@@ -175,3 +175,25 @@ def sample_run(image, u, v, code, out, du, dv):  # type: ignore[no-untyped-def]
         _sample_panorama(image.reshape(-1), w, h, u, v, out, du, dv)
     else:
         _sample_pinhole(image.reshape(-1), w, h, u, v, out, du, dv)
+
+
+def sample_points(
+    image: NDArray[np.float32],
+    points: NDArray[np.floating],
+    T_fr: NDArray[np.float64],
+    code: int,
+    cam: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """(N,): what an image (h, w) shows of points (N, 3) once T_fr (4, 4) has moved them; NaN of points that are NaN.
+
+    code, cam: as from ``camera_code``. Bilinear; outside a pinhole's image NaN.
+    """
+    known = np.isfinite(points).all(axis=1)
+    safe = np.where(known[:, None], points, [1.0, 0.0, 1.0]).astype(np.float32)
+    x, y, z = np.ascontiguousarray(safe.T)
+    u, v, value, du, dv = np.empty((5, len(points)), np.float32)
+    R, t = np.ascontiguousarray(T_fr[:3, :3], np.float32), T_fr[:3, 3].astype(np.float32)
+    project(x, y, z, R, t, code, cam, u, v)
+    sample_run(np.ascontiguousarray(image), u, v, code, value, du, dv)
+    value[~known] = np.nan
+    return value

@@ -58,6 +58,7 @@ class TinySequence(FrameSequence):
 
     pose: time in seconds -> ``T_wc``; ``smooth_pose`` or ``rotating_pose`` or your own (stay within the room,
     half its size is ``HALF_SIZE``). rig: lenses whose pictures ``lens_images`` has, each seen from its own centre.
+    T_body_cam (4, 4): what the inertial samples say of the camera on the body; they stay those of the camera.
     """
 
     dataset = "testing"
@@ -72,11 +73,12 @@ class TinySequence(FrameSequence):
         seed: int = 0,
         name: str = "tiny",
         rig: Rig | None = None,
+        T_body_cam: NDArray[np.float64] | None = None,
     ) -> None:
         self.camera = camera if camera is not None else erp_camera()
         self.times = np.arange(n) / rate
         self.name = name
-        self._pose, self._rig = pose, rig
+        self._pose, self._rig, self._T_body_cam = pose, rig, T_body_cam
         rng = np.random.default_rng(seed)
         direction = rng.normal(size=(24, 3))
         self._waves = direction * np.geomspace(2.0, 25.0, 24)[:, None] / np.linalg.norm(direction, axis=1)[:, None]
@@ -141,7 +143,7 @@ class TinySequence(FrameSequence):
             gyro[i] = so3_log(before[:3, :3].T @ after[:3, :3]) / (2 * dt)
             acceleration = (before[:3, 3] - 2 * now[:3, 3] + after[:3, 3]) / dt**2
             accel[i] = now[:3, :3].T @ (acceleration - GRAVITY)
-        return Imu(times, gyro, accel)
+        return Imu(times, gyro, accel, self._T_body_cam)
 
     def provenance(self) -> dict[str, Any]:
         return {"generator": "panobench.testing", "frames": len(self)}

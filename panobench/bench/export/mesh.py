@@ -69,7 +69,8 @@ def _by_frames(run: Run, chosen: NDArray[np.int64], depths: Float) -> Float:
     from panobench.bench.export.plane_depth import corrected_depths
     from panobench.bench.export.posed_panoramas import posed_panoramas
 
-    shots = [shots_of(run, ExportOptions())[k] for k in chosen]
+    every = shots_of(run, ExportOptions())
+    shots = [every[k] for k in chosen]
     T_wc = np.stack([shot.T_wc for shot in shots])
     views = posed_panoramas(frames_of(run), [shot.frame for shot in shots], T_wc, depths)
     return corrected_depths(views, depths)

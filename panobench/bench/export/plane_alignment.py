@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from panobench.bench.export.planes import Plane, depth_edges
 from panobench.bench.export.posed_panoramas import PosedPanoramas
+from panobench.photometric.warp import sample_points
 
 Array = NDArray[np.float64]
 
@@ -72,10 +73,15 @@ def _differences(
     """
     R, centre = views.T_wc[j, :3, :3], views.T_wc[j, :3, 3]
     local, along = (X - centre) @ R, 0.004 * depth[:, None] * (rays @ R)
-    value, more, less = (_sample(views.luma[j], local + sign * along) for sign in (0, 1, -1))
+    s, still = views.scale, np.eye(4)
+    value, more, less = (
+        sample_points(views.luma[j], local + sign * along, still, s.code, s.cam).astype(np.float64)
+        for sign in (0, 1, -1)
+    )
     g = (more - less) / (0.008 * depth)
     residual = value - luma
-    seen = np.abs(_sample(views.depth[j], local) / np.linalg.norm(local, axis=1) - 1) < 2 * NEAR
+    mapped = sample_points(views.depth[j], local, still, s.code, s.cam)
+    seen = np.abs(mapped / np.linalg.norm(local, axis=1) - 1) < 2 * NEAR
     seen &= np.isfinite(g) & np.isfinite(residual)
     if seen.sum() < 20:
         zero = np.zeros(len(X))
@@ -84,19 +90,6 @@ def _differences(
     usual = float(np.median(np.abs(g[seen]))) + 1e-9
     weight = seen / (1 + (g / usual) ** 2) / (1 + (residual / (2 * SIGMA)) ** 2) / SIGMA**2
     return g, residual, weight
-
-
-def _sample(image: NDArray[np.float32], local: Array) -> Array:
-    """Bilinear values (N,) of a panorama (H, W) in the directions of points (N, 3) of its camera."""
-    height, width = image.shape
-    u = (width * (0.5 + np.arctan2(local[:, 0], local[:, 2]) / (2 * np.pi)) - 0.5) % width
-    v = height * (0.5 + np.arctan2(local[:, 1], np.hypot(local[:, 0], local[:, 2])) / np.pi) - 0.5
-    v = np.clip(v, 0.0, height - 1.0)
-    x, y = np.floor(u).astype(int), np.minimum(np.floor(v).astype(int), height - 2)
-    a, b, right, x = u - x, v - y, (x + 1) % width, x % width
-    top = (1 - a) * image[y, x] + a * image[y, right]
-    bottom = (1 - a) * image[y + 1, x] + a * image[y + 1, right]
-    return np.asarray((1 - b) * top + b * bottom)
 
 
 def _moved(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import cv2
@@ -44,7 +45,7 @@ class PosedPanoramas:
     def __len__(self) -> int:
         return len(self.luma)
 
-    @property
+    @cached_property
     def median_depth(self) -> float:
         return float(np.median(self.depth))
 

@@ -31,8 +31,6 @@ BUNDLE = {
 }
 #: Cells are not smaller than this where part of a wide view is hidden, pixels.
 SMALLEST_CELL = 3
-#: Frames among the last of which one may get another image.
-RECENT = 8
 
 
 def bundle_options(scale: WorkingScale, width: ViewWidth) -> BundleOptions:
@@ -84,10 +82,10 @@ class FactorGraph:
             self.frames[old - 1].luma = None
 
     def replace_luma(self, index: int, luma: F32) -> None:
-        """Another luma (h, w) of one of the last frames, by its index in the sequence."""
-        for frame in self.frames[-RECENT:]:
-            if frame.index == index:
-                frame.luma = luma
+        """Another luma (h, w) of a frame, by its index in the sequence; nothing if it is not here."""
+        frame = next((f for f in reversed(self.frames) if f.index == index), None)
+        if frame is not None:
+            frame.luma = luma
 
     def reverse(self) -> None:
         """The next frames go on from the first one, backwards in time."""

@@ -27,8 +27,6 @@ from panobench.splat.render import Render, Renderer
 from panobench.types import Frame
 
 Mask = NDArray[np.bool_]
-#: Frames among the last of which one may get another image.
-RECENT = 8
 
 
 class Mapper:
@@ -139,8 +137,8 @@ class Mapper:
             self.optimiser.forget_image(frames.pop(int(self.rng.integers(len(frames)))))
 
     def replace_image(self, index: int, image: NDArray[np.uint8]) -> None:
-        """Another image (H, W, 3) of one of the last frames, by its index in the sequence."""
-        for view in (*self.window, *self.trajectory.frames[-RECENT:]):
+        """Another image (H, W, 3) of a frame that still has one, by its index in the sequence."""
+        for view in (*self.window, *self.trajectory.frames):
             if view.index == index and view.image.size:
                 view.image = image
 

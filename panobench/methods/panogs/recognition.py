@@ -23,7 +23,7 @@ from panobench.methods.panogs.place_recognition import Places, Thumbnail
 from panobench.photometric.align import Alignment
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import WorkingScale
-from panobench.photometric.warp import project, sample_run
+from panobench.photometric.warp import sample_points
 
 Pose = NDArray[np.float64]
 
@@ -83,20 +83,14 @@ class Recogniser:
         known = np.isfinite(luma) & np.isfinite(seen)
         return share_alike(luma, seen, known, self.weights, self.fine.alike) >= self.options.agree
 
-    def drift(self, start: Pose, found: Alignment) -> float:
-        """How far an alignment moves the old reference from where the poses so far, T_fr ``start``, have it."""
-        moved = invert_pose(found.T_fr)[:3, 3] - invert_pose(start)[:3, 3]
-        return float(np.linalg.norm(moved))
-
     def _seen_from(self, depth_map: F32, old: F32, T_fr: Pose) -> F32:
         """(h, w): what the old reference shows of the points of a depth map; NaN where that is not known."""
         s = self.scale
-        X = (s.rays * depth_map[..., None]).reshape(-1, 3)
-        u, v, value, du, dv = (np.empty(len(X), np.float32) for _ in range(5))
-        R, t = np.ascontiguousarray(T_fr[:3, :3], np.float32), T_fr[:3, 3].astype(np.float32)
-        x, y, z = (np.ascontiguousarray(X[:, k]) for k in range(3))
-        known = np.isfinite(x)
-        project(np.where(known, x, 1), np.where(known, y, 0), np.where(known, z, 1), R, t, s.code, s.cam, u, v)
-        sample_run(np.ascontiguousarray(old), u, v, s.code, value, du, dv)
-        value[~known] = np.nan
-        return value.reshape(depth_map.shape)
+        points = (s.rays * depth_map[..., None]).reshape(-1, 3)
+        return sample_points(old, points, T_fr, s.code, s.cam).reshape(depth_map.shape)
+
+
+def drift_of(start: Pose, found: Alignment) -> float:
+    """How far an alignment moves the old reference from where the poses so far, T_fr ``start`` (4, 4), have it."""
+    moved = invert_pose(found.T_fr)[:3, 3] - invert_pose(start)[:3, 3]
+    return float(np.linalg.norm(moved))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.config import RevisitOptions
-from panobench.methods.panogs.recognition import Recogniser, Way
+from panobench.methods.panogs.recognition import Recogniser, Way, drift_of
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.photometric.align import Alignment, align
 from panobench.photometric.bundle import BundleOptions, refine
@@ -65,12 +65,13 @@ class _View:
 
 @dataclass(frozen=True)
 class _Seen:
-    """A reference that was aligned to the newest. luma (h, w): at the newest's exposure. drifted: it is elsewhere than
-    the poses so far have it.
+    """A reference that was aligned to the newest. place: in the list. luma (h, w): at the newest's exposure. start: its
+    pose T_fr (4, 4) by the poses so far. drifted: it is elsewhere.
     """
 
-    reference: _Reference
+    place: int
     luma: F32
+    start: Pose
     alignment: Alignment
     drifted: bool = False
 
@@ -125,20 +126,21 @@ class RevisitFactors:
             return False
         levels = self._pyramid(newest)
         view = _View(levels[0], known, make_reference(s.camera, levels[0], known, len(levels)))
-        recent = [self._align(view, r, trajectory) for r in self.references[-1 - self.options.recent : -1]]
+        last = len(self.references) - 1
+        recent = [self._align(view, n, trajectory) for n in range(max(last - self.options.recent, 0), last)]
         seen = self._nearby(view, recent, trajectory, places.near)
         if len(seen) < 2:
             seen = self._alike(view, trajectory, places)
-        recent = [one for one in recent if self._is_right(view, one, trajectory)]
+        recent = [one for one in recent if self._is_right(view, one)]
         if len(seen) < 2 or not recent:
             return False
         T_fr = np.stack([one.alignment.T_fr for one in [*recent, *seen]])
         images = np.stack([one.luma for one in [*recent, *seen]])
         bundle = refine(levels[0], s.rays, np.nan_to_num(known), images, T_fr, s.code, s.cam, BUNDLE)
         if bundle.ok:
-            numbers = [one.reference.number for one in [*recent, *seen]]
+            numbers = [self.references[one.place].number for one in [*recent, *seen]]
             self.factors.append(BundleFactor(newest.number, np.array(numbers), bundle))
-            self.way.ties += [(self._position(one.reference), len(self.references) - 1) for one in seen]
+            self.way.ties += [(one.place, last) for one in seen]
             self.drifted |= any(one.drifted for one in seen)
             self.revisits += 1
         return bundle.ok
@@ -160,35 +162,31 @@ class RevisitFactors:
         """Those of the references near the newest that are seen as well as recent ones are."""
         o = self.options
         limit = o.cost_max * float(np.median([one.alignment.cost for one in recent]))
-        seen = [self._align(view, self.references[n], trajectory) for n in near]
+        seen = [self._align(view, n, trajectory) for n in near]
         seen = [one for one in seen if one.alignment.cost < limit and one.alignment.overlap > o.overlap_min]
-        return [one for one in seen if self._is_right(view, one, trajectory)]
+        return [one for one in seen if self._is_right(view, one)]
 
     def _alike(self, view: _View, trajectory: AnchoredTrajectory, places: _Places) -> list[_Seen]:
         """References that look like the newest and are not farther from where they should be than may be."""
-        newest, near = self.references[-1], self.options.near * view.depth
-        seen = []
+        near, seen = self.options.near * view.depth, []
         for n in self.recogniser.alike(places.possible):
-            other = self.references[n]
-            start = trajectory.relative(newest.index, [other.index])[0]
+            levels, start = self._pyramid(self.references[n]), self._relative(n, trajectory)
             turned = start.copy()
             turned[:3, 3] = 0.0
-            levels = self._pyramid(other)
             a = align(view.reference, levels, turned, EXPOSED)
-            drift = self.recogniser.drift(start, a)
-            one = _Seen(other, (levels[0] - np.float32(a.offset)) * np.float32(np.exp(-a.gain)), a, drift > near)
-            if drift < places.drift[n] and self._is_right(view, one, trajectory):
+            luma, drift = (levels[0] - np.float32(a.offset)) * np.float32(np.exp(-a.gain)), drift_of(start, a)
+            one = _Seen(n, luma, start, a, drift > near)
+            if drift < places.drift[n] and self._is_right(view, one):
                 seen.append(one)
         return seen
 
-    def _is_right(self, view: _View, seen: _Seen, trajectory: AnchoredTrajectory) -> bool:
+    def _is_right(self, view: _View, seen: _Seen) -> bool:
         """Whether an alignment shows the other reference to be of the same place."""
-        start = trajectory.relative(self.references[-1].index, [seen.reference.index])[0]
-        return self.recogniser.is_right(view.luma, view.depth_map, seen.luma, start, seen.alignment)
+        return self.recogniser.is_right(view.luma, view.depth_map, seen.luma, seen.start, seen.alignment)
 
-    def _position(self, reference: _Reference) -> int:
-        """Where a reference stands in the list."""
-        return int(np.searchsorted([r.number for r in self.references], reference.number))
+    def _relative(self, place: int, trajectory: AnchoredTrajectory) -> Pose:
+        """T_fr (4, 4) from the newest to another reference, by the poses so far."""
+        return np.asarray(trajectory.relative(self.references[-1].index, [self.references[place].index])[0])
 
     def _luma(self, reference: _Reference) -> F32:
         value = reference.luma / np.float32(255)
@@ -197,11 +195,10 @@ class RevisitFactors:
     def _pyramid(self, reference: _Reference) -> list[F32]:
         return pyramid(self._luma(reference))
 
-    def _align(self, view: _View, other: _Reference, trajectory: AnchoredTrajectory) -> _Seen:
+    def _align(self, view: _View, place: int, trajectory: AnchoredTrajectory) -> _Seen:
         """To the newest, from where the poses so far have it."""
-        levels = self._pyramid(other)
-        start = trajectory.relative(self.references[-1].index, [other.index])[0]
-        return _Seen(other, levels[0], align(view.reference, levels, start))
+        levels, start = self._pyramid(self.references[place]), self._relative(place, trajectory)
+        return _Seen(place, levels[0], start, align(view.reference, levels, start))
 
     # -- the trajectory ----------------------------------------------------------------------------------------------
 

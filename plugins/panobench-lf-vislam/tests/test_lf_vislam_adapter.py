@@ -11,7 +11,7 @@ import pytest
 from panobench_lf_vislam import SPEC
 from panobench_lf_vislam.method import LfVislam, LfVislamConfig, ring_section
 
-from panobench import Camera, Imu, MethodError, Trajectory, UnsupportedError
+from panobench import Camera, MethodError, Trajectory, UnsupportedError
 from panobench.external import BAG_START_S, camodocal_camera, opencv_yaml
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.testing import (
@@ -37,14 +37,6 @@ wait_for_end()
 open(output + "/stamped_traj_estimate.txt", "w").write(%r)
 time.sleep(600)
 """
-
-
-class WithBody(TinySequence):
-    @property
-    def imu(self) -> Imu | None:
-        imu = super().imu
-        assert imu is not None
-        return dataclasses.replace(imu, T_body_cam=T_BODY_CAM)
 
 
 @pytest.fixture(autouse=True)
@@ -82,7 +74,7 @@ def test_it_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.MonkeyPat
 def test_annular_images_and_samples_go_in_and_camera_poses_come_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sequence = WithBody(PAL, n=5)
+    sequence = TinySequence(PAL, n=5, T_body_cam=T_BODY_CAM)
     method = workspace(tmp_path / "ws", monkeypatch, ESTIMATOR % body_rows(sequence))
     estimate = run_method(method, sequence, needs=SPEC.needs).estimate
     assert np.allclose(estimate.trajectory.T_wc, sequence.groundtruth.T_wc, atol=1e-7)  # type: ignore[union-attr]
@@ -94,12 +86,20 @@ def test_an_estimator_that_never_started_is_an_error_with_the_log(
 ) -> None:
     lost = "# stamped_traj_estimate.txt\nprint('Not enough features or parallax', flush=True)\ntime.sleep(600)"
     with pytest.raises(MethodError, match=r"wrote no such file; the log ends: Not enough features"):
-        run_method(workspace(tmp_path / "ws", monkeypatch, lost), WithBody(PAL, n=3), needs=SPEC.needs)
+        run_method(
+            workspace(tmp_path / "ws", monkeypatch, lost),
+            TinySequence(PAL, n=3, T_body_cam=T_BODY_CAM),
+            needs=SPEC.needs,
+        )
 
 
 def test_other_cameras_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UnsupportedError, match="takes panoramic annular images, not erp"):
-        run_method(workspace(tmp_path / "ws", monkeypatch, ESTIMATOR), WithBody(n=2), needs=SPEC.needs)
+        run_method(
+            workspace(tmp_path / "ws", monkeypatch, ESTIMATOR),
+            TinySequence(n=2, T_body_cam=T_BODY_CAM),
+            needs=SPEC.needs,
+        )
     with pytest.raises(UnsupportedError, match="5 direct"):
         camodocal_camera(dataclasses.replace(PAL, poly=(-24.0, 0.0, 0.01)), "LF-VISLAM")  # type: ignore[type-var]
 
@@ -130,7 +130,7 @@ def test_a_mask_that_is_no_ring_is_used_itself(tmp_path: Path) -> None:
 
 
 def test_the_settings_are_those_published_for_palvio(tmp_path: Path) -> None:
-    imu = WithBody(PAL, n=8).imu
+    imu = TinySequence(PAL, n=8, T_body_cam=T_BODY_CAM).imu
     assert imu is not None
     values = LfVislam().settings(PAL, imu, tmp_path, tmp_path)
     expected = {"freq": 10, "estimate_extrinsic": 1, "max_cnt": 200, "min_dist": 20, "acc_w": 0.04, "gyr_w": 0.002}

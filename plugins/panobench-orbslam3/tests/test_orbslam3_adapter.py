@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.util
 import sys
 from pathlib import Path
@@ -34,16 +33,6 @@ PINHOLE = pinhole_camera(96, 90, 70)
 
 
 T_BODY_CAM = make_pose(so3_exp([0.1, 1.2, -0.3]), [0.05, -0.02, 0.1])
-
-
-class WithBody(TinySequence):
-    """Inertial samples of a body that is not the camera. Only the frames of reference matter here."""
-
-    @property
-    def imu(self) -> Imu | None:
-        imu = super().imu
-        assert imu is not None
-        return dataclasses.replace(imu, T_body_cam=T_BODY_CAM)
 
 
 @pytest.fixture
@@ -179,7 +168,9 @@ def test_with_an_imu_it_answers_with_body_poses(sequence: TinySequence, vocabula
     rows = "".join(f"{t * 1e9:.6f} " + " ".join(f"{v:.9f}" for v in rest) + "\n" for t, *rest in pose_rows(bodies))
     place = fake_environment(tmp_path / "env", f"ROWS = {rows!r}\n{FAKE_PACKAGE}")
     config = OrbSlam3InertialConfig(run_in=place, pace=0, levels=2)
-    estimate = run_method(OrbSlam3Inertial(config), WithBody(PINHOLE, n=6), needs=INERTIAL.needs).estimate
+    estimate = run_method(
+        OrbSlam3Inertial(config), TinySequence(PINHOLE, n=6, T_body_cam=T_BODY_CAM), needs=INERTIAL.needs
+    ).estimate
     assert estimate.metric
     assert np.allclose(estimate.trajectory.positions, truth.positions, atol=1e-6)
 

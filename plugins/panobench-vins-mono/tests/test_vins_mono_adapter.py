@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import cv2
@@ -47,16 +46,6 @@ time.sleep(600)
 """
 
 
-class WithBody(TinySequence):
-    """Inertial samples of a body that is not the camera. Only the frames of reference matter here."""
-
-    @property
-    def imu(self) -> Imu | None:
-        imu = super().imu
-        assert imu is not None
-        return dataclasses.replace(imu, T_body_cam=T_BODY_CAM)
-
-
 @pytest.fixture(autouse=True)
 def short_idle_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("panobench.external.ros.IDLE_S", 1)
@@ -83,7 +72,7 @@ def workspace(
 
 
 def settings(camera: Camera, folder: Path, **options: object) -> dict:
-    imu = WithBody(CAMERA, n=8).imu
+    imu = TinySequence(CAMERA, n=8, T_body_cam=T_BODY_CAM).imu
     assert imu is not None
     return VinsMono(VinsMonoConfig(**options)).settings(camera, imu, folder, folder / "out")  # type: ignore[arg-type]
 
@@ -94,7 +83,7 @@ def test_it_keeps_the_contract_where_it_cannot_run(monkeypatch: pytest.MonkeyPat
 
 
 def test_camera_poses_come_back_from_body_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sequence = WithBody(CAMERA, n=6)
+    sequence = TinySequence(CAMERA, n=6, T_body_cam=T_BODY_CAM)
     method = workspace(tmp_path / "ws", monkeypatch, ESTIMATOR % csv_rows(sequence))
     assert method.missing(method.config) is None
     run = run_method(method, sequence, needs=SPEC.needs)
@@ -106,7 +95,7 @@ def test_camera_poses_come_back_from_body_poses(tmp_path: Path, monkeypatch: pyt
 
 def test_frames_between_two_answers_are_interpolated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The estimator answers every other frame of a camera that is faster than it."""
-    sequence = WithBody(CAMERA, n=7, rate=20.0)
+    sequence = TinySequence(CAMERA, n=7, rate=20.0, T_body_cam=T_BODY_CAM)
     method = workspace(tmp_path / "ws", monkeypatch, ESTIMATOR % csv_rows(sequence)[::2])
     estimate = run_method(method, sequence, needs=SPEC.needs).estimate
     assert np.array_equal(estimate.trajectory.times, sequence.times)
@@ -118,7 +107,7 @@ def test_frames_between_two_answers_are_interpolated(tmp_path: Path, monkeypatch
 
 
 def test_a_partial_csv_is_an_error_with_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sequence = WithBody(CAMERA, n=4)
+    sequence = TinySequence(CAMERA, n=4, T_body_cam=T_BODY_CAM)
     rows = csv_rows(sequence)
     rows[-1] = rows[-1][:-60]
     method = workspace(tmp_path / "ws", monkeypatch, f"print('Not enough features', flush=True)\n{ESTIMATOR % rows}")
@@ -131,7 +120,7 @@ def test_a_node_that_crashes_ends_the_run(tmp_path: Path, monkeypatch: pytest.Mo
     method = workspace(tmp_path / "ws", monkeypatch, "# vins_result_no_loop.csv\nsys.exit('Segmentation fault')")
     (tmp_path / "ws" / "lib" / "rosbag" / "play").write_text("#!/bin/sh\nsleep 600\n")
     with pytest.raises(MethodError, match=r"wrote no such file; the log ends: Segmentation fault"):
-        run_method(method, WithBody(CAMERA, n=3), needs=SPEC.needs)
+        run_method(method, TinySequence(CAMERA, n=3, T_body_cam=T_BODY_CAM), needs=SPEC.needs)
 
 
 def test_roslaunch_alone_cannot_run_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,7 +128,7 @@ def test_roslaunch_alone_cannot_run_it(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path))
     monkeypatch.setenv("PANOBENCH_VINS_MONO_COMMAND", method.config.command)
     with pytest.raises(UnavailableError, match=r"no package 'feature_tracker' .*; source devel/setup\.bash"):
-        run_method(method, WithBody(CAMERA, n=2), needs=SPEC.needs)
+        run_method(method, TinySequence(CAMERA, n=2, T_body_cam=T_BODY_CAM), needs=SPEC.needs)
     assert [f.detail for f in VinsMono.diagnose() if not f.ok] == [
         "no package 'feature_tracker' in CMAKE_PREFIX_PATH",
         "no package 'vins_estimator' in CMAKE_PREFIX_PATH",
