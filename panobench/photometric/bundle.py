@@ -64,8 +64,9 @@ class Bundle:
     information (6F, 6F), gradient (6F,): what is left of the cost once the depths are eliminated: a quadratic over left
     twists (translation, rotation) of T_fr, in units of the residuals' variance. A common scale of all translations
     does not change it.
-    units: of a rig, how many units of the map a metre has and the standard deviation of that, if errors of pixels are
-    independent; infinite where nothing tells it. None for one centre.
+    units: of a rig, how many units of the map a metre has and the standard deviation of that, infinite where nothing
+    tells it. Half of a residual's variance is that of the reference's pixel, which all frames share; the rest is
+    independent. None for one centre.
     """
 
     T_fr: NDArray[np.float64]
@@ -209,7 +210,7 @@ def refine(
     units = None
     if now.unit is not None:
         change, deviation = now.unit_step(T)
-        units = (scale * (float(cam[UNITS, 0]) + change), scale * deviation * sigma)
+        units = (scale * (float(cam[UNITS, 0]) + change), scale * deviation * sigma * float(np.sqrt((1 + F) / 2)))
     T[:, :3, 3] *= scale
     A, b, _ = now.schur_complement(0.0)
     unit = np.tile(np.repeat([1.0 / scale, 1.0], 3), F)

@@ -3,7 +3,8 @@
 A factor is what is left of one reference's bundle adjustment once the depths are marginalised: the poses of the frames
 around it, a quadratic cost around them, and a scale of its own. Every frame is in several factors, and the trajectory
 minimises the sum of their costs. There are few unknowns, so it is solved for in milliseconds however many pixels stand
-behind it. A weak prior on the poses as they were joins parts that no factor ties together.
+behind it. A weak prior on the poses as they were joins parts that no factor ties together. What the lenses of a rig
+tell of the scale is one more residual of each factor.
 """
 
 from __future__ import annotations
@@ -47,16 +48,29 @@ class PosePrior:
     rotation: float
 
 
+@dataclass(frozen=True)
+class LensUnits:
+    """The units of a rig's map in a metre, which each factor has measured for itself (``Bundle.units``).
+
+    inflation: by which the factors' standard deviations are too small.
+    """
+
+    units: float
+    inflation: float = 1.0
+
+
 def optimise_trajectory(
     T_wc: Array,
     factors: list[BundleFactor],
     prior: PosePrior,
     held: NDArray[np.bool_],
     iterations: int = ITERATIONS,
+    lens_units: LensUnits | None = None,
 ) -> Array:
     """Poses (N, 4, 4) that minimise the factors' costs; those ``held`` (N,) stay. T_wc (N, 4, 4): start and prior.
 
     Frames are numbered from 0 to N - 1. Gauss-Newton on left twists of T_cw; the prior keeps the system regular.
+    lens_units: of a rig, which holds the scale around every reference.
     """
     count = len(T_wc)
     before = invert_pose(T_wc)
@@ -67,7 +81,7 @@ def optimise_trajectory(
     for _ in range(iterations if len(free) else 0):
         b, parts = unit * se3_log(T_cw @ invert_pose(before)).ravel(), []
         for factor in factors:
-            A, g = _linearise(factor, T_cw)
+            A, g = _linearise(factor, T_cw, lens_units)
             cells = (6 * np.append(factor.frames, factor.reference)[:, None] + np.arange(6)).ravel()
             parts.append((cells, A))
             b[cells] += g
@@ -150,7 +164,7 @@ def log_scale(own: Array, now: Array) -> float:
     return float(np.log(max((a * b).sum(), 1e-18) / max((a**2).sum(), 1e-18)))
 
 
-def _linearise(factor: BundleFactor, T_cw: Array) -> tuple[Array, Array]:
+def _linearise(factor: BundleFactor, T_cw: Array, lens_units: LensUnits | None) -> tuple[Array, Array]:
     """H (6F + 6, 6F + 6) and b over the twists of a factor's frames and then of its reference.
 
     The residual is in the factor's own unit, at the scale its translations have in the trajectory. That scale must be
@@ -175,7 +189,13 @@ def _linearise(factor: BundleFactor, T_cw: Array) -> tuple[Array, Array]:
     g = AJ.T @ e
     SAJ, Sg = S[:, None] * AJ, S * bundle.gradient
     H = np.concatenate([SAJ, across.T @ SAJ]) - np.outer(w, u @ AJ)
-    return H, g + np.concatenate([Sg, across.T @ Sg]) - w * (u @ bundle.gradient)
+    g = g + np.concatenate([Sg, across.T @ Sg]) - w * (u @ bundle.gradient)
+    if lens_units is not None and bundle.units is not None:
+        # w is the derivative of ``scale``. What was measured is in the factor's own unit.
+        believed, deviation = lens_units.units * np.exp(-scale), bundle.units[1] * lens_units.inflation
+        H += np.outer(w, w) * (believed / deviation) ** 2
+        g += w * (bundle.units[0] - believed) * believed / deviation**2
+    return H, g
 
 
 def _adjoint(T: Array) -> Array:

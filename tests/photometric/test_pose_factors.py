@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, se3_log, umeyama
 from panobench.photometric.bundle import Bundle, BundleOptions, refine
-from panobench.photometric.pose_factors import BundleFactor, PosePrior, log_scale, optimise_trajectory
+from panobench.photometric.pose_factors import BundleFactor, LensUnits, PosePrior, log_scale, optimise_trajectory
 from panobench.photometric.pyramid import luma_of_frame
 from panobench.photometric.stereo import WorkingScale
 
@@ -71,6 +72,32 @@ def test_disturbed_poses_are_mended(scales: tuple[float, float]) -> None:
     assert misfit(start, truth) > 5e-3
     assert misfit(fitted, truth) < 2e-4
     np.testing.assert_allclose(fitted[0], start[0])
+
+
+def drifting(truth: Array, rate: float) -> Array:
+    """Poses whose steps shrink by ``rate`` from one to the next."""
+    T = truth.copy()
+    steps = np.diff(truth[:, :3, 3], axis=0) * np.exp(-rate * np.arange(len(truth) - 1))[:, None]
+    T[1:, :3, 3] = T[0, :3, 3] + np.cumsum(steps, axis=0)
+    return T
+
+
+def test_the_lenses_of_a_rig_hold_the_scale_against_drift() -> None:
+    truth = path(60)
+    start = drifting(truth, 0.005)  # by 26% in all, which factors of unknown scale cannot tell
+    factors = []
+    for k in range(0, 60, 4):
+        f = factor(start, k, 8)
+        true_scale = float(np.exp(log_scale(f.bundle.T_fr, invert_pose(truth[f.frames]) @ truth[k])))
+        factors.append(BundleFactor(k, f.frames, replace(f.bundle, units=(1 / true_scale, 0.01))))
+    held, loose = np.arange(60) == 0, PosePrior(10.0, 10.0)
+    free = optimise_trajectory(start, factors, loose, held)
+    fitted = optimise_trajectory(start, factors, loose, held, lens_units=LensUnits(1.0))
+    assert misfit(free, truth) > 0.05
+    assert misfit(fitted, truth) < 0.2 * misfit(free, truth)  # within a factor the poses drift as well
+    # Deviations that are said to be far too small do not outweigh the prior.
+    unsure = optimise_trajectory(start, factors, PosePrior(0.01, 0.01), held, lens_units=LensUnits(1.0, 1e3))
+    assert np.abs(unsure - start).max() < 1e-3
 
 
 def test_held_frames_do_not_move() -> None:

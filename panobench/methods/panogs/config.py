@@ -193,6 +193,9 @@ class FactorOptions(Options):
     renew_change: float = option(0.01, "median change of the log depth from which it is made again")
     late: int = option(4, "frames a factor may wait for other work")
     free: int = option(96, "last frames whose poses a fit may change", above=0)
+    rig_reach: float = option(
+        0.7, "on a rig: how far a frame may be from the reference that it is compared with", unit="depths", above=0
+    )
     prior_translation: float = option(0.006, "standard deviation of a tracked position", unit="depths", above=0)
     prior_rotation: float = option(0.005, "standard deviation of a tracked rotation", unit="rad", above=0)
 

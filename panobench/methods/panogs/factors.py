@@ -29,15 +29,19 @@ BUNDLE = {
     ViewWidth.WIDE: BundleOptions(cell_px=6, iterations=4, cut=5.0, trim=0.6, near=12),
     ViewWidth.NARROW: BundleOptions(cell_px=8, iterations=5, cut=5.0),
 }
+#: The pixels that fit worst may be those that tell how far the lenses of a rig are apart: none is left out.
+RIG_BUNDLE = replace(BUNDLE[ViewWidth.WIDE], iterations=10, trim=0.0)
 #: Cells are not smaller than this where part of a wide view is hidden, pixels.
 SMALLEST_CELL = 3
+#: So many frames on either side are near enough, wherever they are.
+NEAREST = 4
 
 
-def bundle_options(scale: WorkingScale, width: ViewWidth) -> BundleOptions:
+def bundle_options(scale: WorkingScale, width: ViewWidth, rig: bool = False) -> BundleOptions:
     """Options of the factors of a camera's view: smaller cells, by the share that is seen, where a mask hides part of
     a wide view. What is left determines poses worse than its share of the pixels tells.
     """
-    options = BUNDLE[width]
+    options = RIG_BUNDLE if rig else BUNDLE[width]
     if width is not ViewWidth.WIDE:
         return options
     seen = float(scale.valid.sum()) / max(float(scale.camera.with_mask(None).valid_mask().sum()), 1.0)
@@ -65,7 +69,7 @@ class FactorGraph:
         rig_scale: RigScale | None = None,
     ) -> None:
         self.scale, self.options, self.revisits, self.rig_scale = scale, options, revisits, rig_scale
-        self.bundle_options = bundle_options(scale, width)
+        self.bundle_options = bundle_options(scale, width, rig_scale is not None)
         self.frames: list[_Frame] = []
         self.factors: list[BundleFactor] = []
         self.changed = False  # a factor has come since the last optimisation
@@ -141,6 +145,9 @@ class FactorGraph:
         s, target, reach = self.scale, self.frames[k], self.options.reach
         near = [(n, self.frames[n]) for n in range(max(k - reach, 0), min(k + reach + 1, len(self.frames)))]
         others = [(n, f.index, f.luma) for n, f in near if n != k and f.luma is not None]
+        if self.rig_scale is not None:
+            away = self._away([index for _, index, _ in others], target.index, trajectory, known)
+            others = [o for o, d in zip(others, away) if abs(o[0] - k) <= NEAREST or d <= self.options.rig_reach]
         if target.luma is None or not others:
             return
         T_fr = trajectory.relative(target.index, [index for _, index, _ in others])
@@ -151,7 +158,13 @@ class FactorGraph:
             self.factors = [f for f in self.factors if f.reference != k] + [factor]
             self.changed = True
             if self.rig_scale is not None and bundle.units is not None:
-                self.rig_scale.add(target.index, bundle.units, len(others))
+                self.rig_scale.add(target.index, bundle.units)
+
+    @staticmethod
+    def _away(frames: list[int], target: int, trajectory: AnchoredTrajectory, known: F32) -> NDArray[np.float64]:
+        """(F,): how far frames are from the target, in its median depth; known (h, w): 0 where it is unknown."""
+        depth = float(np.median(known[known > 0])) if (known > 0).any() else 1.0
+        return np.array([np.linalg.norm(trajectory[i][:3, 3] - trajectory[target][:3, 3]) for i in frames]) / depth
 
     def _depth_changed(self, before: F32 | None, after: F32) -> bool:
         """By ``renew_change`` or more, for the median pixel that is known in both."""
@@ -183,9 +196,15 @@ class FactorGraph:
         before = np.stack([trajectory[i] for i in indices])
         factors = [BundleFactor(f.reference - lo, f.frames - lo, f.bundle) for f in self.factors]
         prior = PosePrior(o.prior_translation * scene_depth, o.prior_rotation)
-        after = optimise_trajectory(before, factors, prior, np.arange(lo, count) < free)
+        units = self.rig_scale.held() if self.rig_scale is not None else None
+        after = optimise_trajectory(before, factors, prior, np.arange(lo, count) < free, lens_units=units)
         # Noise in the poses before would pass for length; those after have little.
         shrunk = [log_scale(_relative(after, f), _relative(before, f)) for f in factors]
+        if self.rig_scale is not None:
+            for f in factors:
+                if f.bundle.units is not None:
+                    grown = float(np.exp(log_scale(f.bundle.T_fr, _relative(after, f))))
+                    self.rig_scale.add(indices[f.reference], f.bundle.units, grown)
         poses, stretch = dict(zip(indices, after)), float(np.exp(-np.mean(shrunk)))
         if self._reversed:  # those before do not come first in the order of tracking, and must not follow
             poses |= {f.index: trajectory[f.index] for f in self.frames[:lo]}
@@ -200,7 +219,11 @@ class FactorGraph:
         """Poses of all references that minimise the costs of all factors there were, if the camera came back."""
         if self.revisits is None or self._reversed:
             return Correction({})
-        return self.revisits.optimise(trajectory, scene_depth)
+        if self.rig_scale is None:
+            return self.revisits.optimise(trajectory, scene_depth)
+        correction = self.revisits.optimise(trajectory, scene_depth, self.rig_scale.held())
+        self.rig_scale.follow(correction.stretch)
+        return correction
 
 
 def _relative(T_wc: NDArray[np.float64], factor: BundleFactor) -> NDArray[np.float64]:

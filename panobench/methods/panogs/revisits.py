@@ -20,7 +20,7 @@ from panobench.methods.panogs.recognition import Recogniser, Way, drift_of
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.photometric.align import Alignment, align
 from panobench.photometric.bundle import BundleOptions, refine
-from panobench.photometric.pose_factors import BundleFactor, PosePrior, marginalise, optimise_trajectory
+from panobench.photometric.pose_factors import BundleFactor, LensUnits, PosePrior, marginalise, optimise_trajectory
 from panobench.photometric.pyramid import F32, pyramid
 from panobench.photometric.reference import AlignOptions, Reference, make_reference
 from panobench.photometric.stereo import WorkingScale
@@ -202,7 +202,9 @@ class RevisitFactors:
 
     # -- the trajectory ----------------------------------------------------------------------------------------------
 
-    def optimise(self, trajectory: AnchoredTrajectory, scene_depth: float) -> Correction:
+    def optimise(
+        self, trajectory: AnchoredTrajectory, scene_depth: float, lens_units: LensUnits | None = None
+    ) -> Correction:
         """Poses that minimise the costs of all factors over references; none if the camera never came back.
 
         Frames between references follow the one before them, at the scale of the way to the next one.
@@ -221,7 +223,7 @@ class RevisitFactors:
         before = np.stack([trajectory[i] for i in indices])
         prior = PosePrior(o.prior_translation * scene_depth, o.prior_rotation)
         held = np.arange(len(numbers)) < 1
-        after = optimise_trajectory(before, factors, prior, held, iterations=ITERATIONS)
+        after = optimise_trajectory(before, factors, prior, held, ITERATIONS, lens_units)
         return between(trajectory, indices, before, after)
 
 

@@ -1,12 +1,13 @@
 """How large the map of a rig is: the lenses' distances tell it, each bundle adjustment a little.
 
 The map keeps its own unit during the run. What changes is how many of these units the lenses are thought to be apart,
-which is all that rendering and alignment need to know; only at the end trajectory and map are moved into metres.
+which is all that rendering and alignment need to know; only at the end trajectory and map are moved into metres. Where
+the map's own scale drifts, the bundles measure another number of units there; the fit of the trajectory pulls it back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from panobench.depth.bootstrap_solve import SWEEP
 from panobench.geometry import invert_pose
 from panobench.methods.lens_scale import BIAS_PX
 from panobench.photometric.bundle import BundleOptions, refine
+from panobench.photometric.pose_factors import LensUnits
 from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import WorkingScale, multi_view_depth, resize_panorama
 from panobench.types import DepthEstimate
@@ -35,15 +37,30 @@ class RigScale:
         self.lenses, self.overlap, self.log = lenses, overlap, log
         self.measured: dict[int, tuple[float, float]] = {}
 
-    def add(self, index: int, units: tuple[float, float], frames: int) -> None:
-        """The units in a metre with their deviation, as a bundle over so many frames has them.
-
-        Half of a residual's variance is that of the reference's pixel, which all frames share.
-        """
+    def add(self, index: int, units: tuple[float, float], grown: float = 1.0) -> None:
+        """The units in a metre with their deviation, as a bundle has them; it has ``grown`` by a factor since."""
         mean, sigma = units
         if np.isfinite(sigma) and sigma > 0:
-            self.measured[index] = (mean, sigma * float(np.sqrt((1 + frames) / 2)))
+            self.measured[index] = (grown * mean, grown * sigma)
             self.lenses.units_per_metre = max(self._mean(), 0.0)
+
+    def follow(self, stretch: Mapping[int, float]) -> None:
+        """Distances around frames, by their index, have grown by these factors."""
+        for index in self.measured.keys() & stretch.keys():
+            self.add(index, self.measured[index], stretch[index])
+
+    def held(self) -> LensUnits | None:
+        """What the scale is held at all along the trajectory; None as long as nothing tells it.
+
+        A frame's noise is in all the bundles that it is in. What scatters more than their deviations say has other
+        reasons, which count as well.
+        """
+        mean = self.lenses.units_per_metre
+        if mean <= 0:
+            return None
+        u, s = np.array(list(self.measured.values())).T
+        excess = float(np.sqrt(np.mean(((u - mean) / s) ** 2)))
+        return LensUnits(mean, float(np.sqrt(self.overlap)) * max(excess, 1.0))
 
     def _mean(self) -> float:
         u, s = np.array(list(self.measured.values())).T
@@ -86,7 +103,7 @@ class RigScale:
             if not bundle.ok or bundle.units is None:
                 return estimate
             T = bundle.T_fr
-            self.add(first, bundle.units, len(others))
+            self.add(first, bundle.units)
             depth, confidence = multi_view_depth(
                 lumas[first], scale, images, T, 0.7 * float(low), 1.4 * float(high), SWEEP
             )

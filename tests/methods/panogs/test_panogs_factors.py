@@ -9,10 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from panobench.cameras.erp import ErpCamera
+from panobench.cameras.rig_panorama import LensCentres
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs.config import FactorOptions
-from panobench.methods.panogs.factors import FactorGraph, bundle_options
+from panobench.methods.panogs.factors import NEAREST, FactorGraph, bundle_options
+from panobench.methods.panogs.rig_scale import RigScale
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
@@ -165,3 +167,18 @@ def test_cells_are_smaller_where_a_mask_hides_part_of_a_wide_view() -> None:
         hiding[128 - rows :] = False
         assert cell(whole.with_mask(hiding)) == pixels
         assert cell(whole.with_mask(hiding), ViewWidth.NARROW) == 8
+
+
+def test_on_a_rig_far_frames_are_left_out() -> None:
+    scale, luma, depth, T_wc = room()
+    away = np.linalg.norm(T_wc[:, :3, 3], axis=1) / np.median(depth[0])
+    lenses = LensCentres(np.zeros((2, 3)), np.array([[0.0, 0, 1], [0, 0, -1]]))
+    options = FactorOptions(reach=12, every=4, rig_reach=1.01 * float(away[7]))
+    g = FactorGraph(scale, ViewWidth.WIDE, options, rig_scale=RigScale(lenses, 6.0, lambda line: None))
+    for i in range(FRAMES):
+        g.add(i, luma[i])
+    g.make_factor(0, tracked(list(T_wc)), depth[0])
+    near = [i for i in range(1, 13) if i <= NEAREST or away[i] <= options.rig_reach]
+    assert NEAREST < len(near) < 12
+    assert g.factors[0].frames.tolist() == near
+    assert g.bundle_options.trim == 0

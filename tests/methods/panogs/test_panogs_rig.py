@@ -81,17 +81,39 @@ def test_measurements_are_weighted_and_their_scatter_counts() -> None:
     lenses = LensCentres(np.array([[0.0, 0, 0.02], [0, 0, -0.02]]), np.array([[0.0, 0, 1], [0, 0, -1]]))
     scale = RigScale(lenses, 2.0, lambda line: None)
     assert scale.sigma(0.01, 2.0) == float("inf")
-    scale.add(0, (1.0, 0.01), 1)
-    scale.add(8, (float("nan"), float("inf")), 4)  # tells nothing
+    assert scale.held() is None
+    scale.add(0, (1.0, 0.01))
+    scale.add(8, (float("nan"), float("inf")))  # tells nothing
     assert lenses.units_per_metre == 1.0
     alone = scale.sigma(1e-6, 2.0)
     assert alone == pytest.approx(0.01, rel=0.05)
-    scale.add(8, (1.2, 0.02), 1)
+    scale.add(8, (1.2, 0.02))
     assert lenses.units_per_metre == pytest.approx((4 * 1.0 + 1.2) / 5)
     assert scale.sigma(1e-6, 2.0) > 3 * alone  # they contradict one another
-    scale.add(8, (1.0, 0.02), 1)  # the same frame again replaces the first
+    scale.add(8, (1.0, 0.02))  # the same frame again replaces the first
     assert lenses.units_per_metre == 1.0
     assert scale.sigma(0.02, 2.0) > 0.03  # 0.02 pixels of bias are a share of a parallax of half a pixel
+
+
+def test_what_holds_the_scale_follows_the_map_and_allows_for_scatter() -> None:
+    lenses = LensCentres(np.array([[0.0, 0, 0.02], [0, 0, -0.02]]), np.array([[0.0, 0, 1], [0, 0, -1]]))
+    scale = RigScale(lenses, 4.0, lambda line: None)
+    scale.add(0, (1.0, 0.1))
+    scale.add(8, (1.1, 0.1))
+    held = scale.held()
+    assert held is not None
+    assert held.units == pytest.approx(1.05)
+    assert held.inflation == pytest.approx(2.0)  # each frame is in four bundles
+    scale.add(8, (1.1, 0.1), 1.2)
+    assert lenses.units_per_metre == pytest.approx((1.0 / 0.1**2 + 1.32 / 0.12**2) / (1 / 0.1**2 + 1 / 0.12**2))
+    held = scale.held()
+    assert held is not None
+    assert held.inflation > 2.5
+    scale.follow({0: 1.32, 16: 2.0})  # all that was measured agrees now; 16 never was
+    held = scale.held()
+    assert held is not None
+    assert held.units == pytest.approx(1.32)
+    assert held.inflation == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(("stated", "given", "used"), [(None, 0.0, 0.0), (0.02, 0.0, 20.0), (0.02, 7.0, 7.0)])
