@@ -10,7 +10,7 @@ METHODS: tuple[MethodSpec, ...] = (
     MethodSpec(
         "panogs",
         "PanoGS-SLAM: panoramic 3D Gaussian splatting SLAM on the CPU",
-        "panobench.methods.panogs.method:PanogsMethod",
+        "panobench.methods.panogs.atlas:AtlasMethod",
         cameras=("erp", "pinhole"),
         licence="GPL-3.0-or-later",
         citation="Mao et al., PanoGS-SLAM: Panoramic 3D Gaussian Splatting SLAM",

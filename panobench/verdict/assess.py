@@ -35,6 +35,7 @@ def assess(
         own.agreement(estimate),
         steady_height(estimate),
         own.inertial(estimate),
+        own.joined_maps(estimate),
         own.map_pictures(metrics or {}),
         *opinions,
     ]

@@ -16,6 +16,8 @@ FAILED_START, FAILED_START_CONFIRMED = 0.4, 0.8
 PSNR_GOOD, PSNR_BAD = 19.0, 13.0
 #: Trust in a path that the IMU contradicts: a wrong mounting is as likely as a wrong path.
 CONTRADICTED = 0.4
+#: Trust in a path whose parts were put together by looks alone.
+BY_LOOKS = 0.4
 #: Median share of textured blocks in which frame and render agree.
 AGREEMENT_GOOD, AGREEMENT_BAD = 0.65, 0.35
 
@@ -57,6 +59,18 @@ def inertial(estimate: Estimate) -> Evidence | None:
     if said.get("initialised"):
         return Evidence("inertial", 1.0, "camera and IMU agree on turns, scale and gravity")
     return Evidence("inertial", 1.0, f"the IMU was no help: {said.get('reason', '')}")
+
+
+def joined_maps(estimate: Estimate) -> Evidence | None:
+    """Whether parts of the path hang together by looks alone (``extra`` "joined_by_looks"): places may look alike."""
+    joined = estimate.extra.get("joined_by_looks")
+    if not isinstance(joined, int) or not joined:
+        return None
+    return Evidence(
+        "joined maps", BY_LOOKS,
+        f"after a cut the path goes on where the place looked the same ({joined} times), and places may look alike",
+        "run the parts before and after the cut apart",
+    )  # fmt: skip
 
 
 def agreement(estimate: Estimate) -> Evidence | None:

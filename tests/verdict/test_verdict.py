@@ -139,6 +139,13 @@ def test_an_imu_that_contradicts_the_camera_is_a_doubt_and_one_that_agrees_or_is
         assert assess(Estimate(walk(), extra={"inertial": fine}), 60).word is Word.TRUSTED
 
 
+def test_a_path_that_hangs_together_by_looks_alone_is_a_doubt() -> None:
+    verdict = assess(Estimate(walk(), extra={"maps": 1, "joined": 1, "joined_by_looks": 1}), 60)
+    assert verdict.word is Word.DOUBTFUL
+    assert "after a cut" in verdict.reasons[0]
+    assert assess(Estimate(walk(), extra={"maps": 1, "joined": 1, "joined_by_looks": 0}), 60).word is Word.TRUSTED
+
+
 def test_a_run_that_does_not_count_has_failed() -> None:
     verdict = assess(Estimate(walk()), 60, rejected="crashed: no memory")
     assert verdict.word is Word.FAILED

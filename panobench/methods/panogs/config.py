@@ -101,6 +101,24 @@ class RelocalisationOptions(Options):
 
 
 @dataclass(frozen=True)
+class AtlasOptions(Options):
+    """Other maps, begun where the camera is lost for good, and how they are joined."""
+
+    enabled: bool = option(True, "begin another map where the camera is lost for good (monocular runs)")
+    lost: int = option(8, "frames without a pose after which another map is begun", above=0)
+    overlap: int = option(24, "frames from before the loss that another map begins with, to be joined by", above=0)
+    patience: int = option(60, "frames that such a map may wait for its first depth before it begins without them")
+    agree: float = option(0.76, "share of fine blocks that must agree where the camera is found in an older map")
+    common: int = option(10, "frames with a pose in both maps that join them, at least", above=2)
+    moved: float = option(0.1, "distance that the camera must have moved over these", unit="depths", above=0)
+    common_after_cut: int = option(40, "``common`` where only looks tell how two maps lie, as after a cut", above=2)
+    moved_after_cut: float = option(0.5, "``moved`` there", unit="depths", above=0)
+    alike: float = option(0.5, "correlation of the thumbnails of two frames in a row below which there is a cut")
+    residual: float = option(0.06, "disagreement of these over that distance, at most", above=0)
+    turn: float = option(1.0, "disagreement of their rotations, at most", unit="degrees", above=0)
+
+
+@dataclass(frozen=True)
 class KeyframeOptions(Options):
     """When a frame becomes a keyframe (MonoGS's rule), and the window of keyframes."""
 
@@ -276,6 +294,7 @@ class PanogsConfig(Options):
     rig: RigOptions = field(default_factory=RigOptions)
     tracking: TrackingOptions = field(default_factory=TrackingOptions)
     relocalisation: RelocalisationOptions = field(default_factory=RelocalisationOptions)
+    atlas: AtlasOptions = field(default_factory=AtlasOptions)
     keyframes: KeyframeOptions = field(default_factory=KeyframeOptions)
     seeding: SeedingOptions = field(default_factory=SeedingOptions)
     moving: MovingOptions = field(default_factory=MovingOptions)
@@ -298,6 +317,7 @@ PAPER: dict[str, Any] = {
     "tracking.iterations": 15,
     "tracking.renders": 1,
     "relocalisation.enabled": False,
+    "atlas.enabled": False,
     "keyframes.new_share": 1.0,
     "keyframes.wide": 1.0,
     "seeding.pixels_per_gaussian": 4.0,

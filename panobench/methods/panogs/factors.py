@@ -85,6 +85,11 @@ class FactorGraph:
         if old > o.reach + 1:  # the very first are needed again if frames before them are tracked (``reverse``)
             self.frames[old - 1].luma = None
 
+    def adopt(self, other: FactorGraph) -> None:
+        """Go on from the frames of another graph that are newer than these. Their factors are made anew."""
+        newest = self.frames[-1].index if self.frames else -1
+        self.frames += [_Frame(f.index, f.luma) for f in other.frames if f.index > newest]
+
     def replace_luma(self, index: int, luma: F32) -> None:
         """Another luma (h, w) of a frame, by its index in the sequence; nothing if it is not here."""
         frame = next((f for f in reversed(self.frames) if f.index == index), None)

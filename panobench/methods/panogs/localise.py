@@ -1,8 +1,9 @@
-"""Localisation: where each frame was taken in a saved map, which stays as it is."""
+"""Localisation: where each frame was taken in a map that stays as it is."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,13 +17,41 @@ from panobench.methods.panogs.continuation import add_places
 from panobench.methods.panogs.exposure import ExposureMatcher
 from panobench.methods.panogs.place_recognition import Places
 from panobench.methods.panogs.relocalise import Relocaliser
-from panobench.methods.panogs.tracker import Tracker
+from panobench.methods.panogs.tracker import Tracked, Tracker
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
+from panobench.splat.gaussians import GaussianMap
 from panobench.splat.render import Renderer
 from panobench.types import Estimate, Frame, Trajectory
 
 Pose = NDArray[np.float64]
+
+
+class Localiser:
+    """Tracks a camera in a map; it begins lost. A pose must show itself in fine detail, in every frame.
+
+    keyframes: of the map, with a thumbnail each in ``places``. patience: frames with the larger number of starts.
+    """
+
+    def __init__(
+        self, renderer: Renderer, config: PanogsConfig, keyframes: Sequence[View], places: Places, patience: int
+    ) -> None:
+        self.keyframes, self.tracker = keyframes, Tracker(renderer.camera, renderer, config)
+        # What has changed since the map was made stays changed, so every frame is compared.
+        options = replace(config.relocalisation, unusual=0.0, patience=patience)
+        self.relocaliser = Relocaliser(self.tracker, places, options)
+        self.relocaliser.strict = True
+        self.exposure = ExposureMatcher(self.tracker.weights, ViewWidth.of(renderer.camera), config.exposure)
+        self.tracker.reset(keyframes[-1].T_wc)
+        self.relocaliser.interrupted()
+
+    def look(self, frame: Frame, gaussians: GaussianMap) -> Tracked | None:
+        """The frame in the map; None if the map does not explain it."""
+        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
+        trusted = self.relocaliser.judge(tracked, gaussians, self.keyframes)
+        if trusted is not None:
+            self.exposure.after(frame.image, trusted.render)
+        return trusted
 
 
 class LocaliseMethod(OnlineMethod):
@@ -39,38 +68,27 @@ class LocaliseMethod(OnlineMethod):
     def start(self, camera: Camera, context: MethodContext) -> None:
         if context.saved_map is None:
             raise UsageError("localising needs a saved map (--continue DIR)")
-        c, self.saved, self.camera = self.config, context.saved_map, camera
-        renderer = Renderer(camera, "sphere", c.rendering.low_pass, stop=1e-3)
-        self.renderer = renderer
-        self.tracker = Tracker(camera, renderer, c)
-        self.keyframes = [View(k.index, k.image[:0], k.T_wc) for k in self.saved.keyframes]
+        self.saved = saved = context.saved_map
+        renderer = Renderer(camera, "sphere", self.config.rendering.low_pass, stop=1e-3)
+        self.keyframes = [View(k.index, k.image[:0], k.T_wc) for k in saved.keyframes]
         places = Places(camera)
-        add_places(places, self.saved.gaussians, [k.T_wc for k in self.keyframes], renderer)
-        # What has changed since stays changed, so every frame is compared; a search never becomes a short one.
-        options = replace(c.relocalisation, unusual=0.0, patience=1 << 30)
-        self.relocaliser = Relocaliser(self.tracker, places, options)
-        self.relocaliser.strict = True
-        self.exposure = ExposureMatcher(self.tracker.weights, ViewWidth.of(camera), c.exposure)
-        self.tracker.reset(self.keyframes[0].T_wc)
-        self.relocaliser.interrupted()
+        add_places(places, saved.gaussians, [k.T_wc for k in self.keyframes], renderer)
+        self.localiser = Localiser(renderer, self.config, self.keyframes, places, patience=1 << 30)
         self.poses: dict[int, Pose] = {}
         self.times: dict[int, float] = {}
         self.numbers: dict[int, dict[str, float]] = {}
 
     def track(self, frame: Frame) -> Pose | None:
         began = time.perf_counter()
-        gaussians = self.saved.gaussians
-        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians)
-        trusted = self.relocaliser.judge(tracked, gaussians, self.keyframes)
+        trusted = self.localiser.look(frame, self.saved.gaussians)
         if trusted is None:
             self.numbers[frame.index] = {"lost": 1.0, "tracking_s": time.perf_counter() - began}
             return None
-        self.exposure.after(frame.image, trusted.render)
         self.poses[frame.index], self.times[frame.index] = trusted.T_wc, frame.time
         self.numbers[frame.index] = {
             "tracking_s": time.perf_counter() - began,
             "loss": trusted.cost,
-            "agreement": self.relocaliser.agreed,
+            "agreement": self.localiser.relocaliser.agreed,
         }
         return trusted.T_wc
 

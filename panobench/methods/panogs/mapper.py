@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
+from panobench.geometry import Sim3
 from panobench.methods.ground import height_above_ground
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.keyframes import is_keyframe
@@ -72,6 +73,16 @@ class Mapper:
     def world_moved(self, motion: WorldMotion) -> None:
         """As ``WorldFollower.world_moved``: Gaussians go along with the keyframes that brought them."""
         self.map.follow(motion.keyframes)
+
+    def adopt(self, other: Mapper, motion: Sim3, numbers: list[int]) -> None:
+        """Take over another map, of whose world ``motion`` is the motion into this one, and go on with its window.
+
+        numbers: those that its keyframes have in this trajectory.
+        """
+        self.map.append(other.map.gaussians.transformed(motion), np.array(numbers, np.int32)[other.map.anchors])
+        self.optimiser.window = other.window
+        for view in self.window:
+            view.seen = self._seen(self.renderer.forward(self.map.gaussians, view.T_wc, count_touched=True))
 
     # -- frames ------------------------------------------------------------------------------------------------------
 

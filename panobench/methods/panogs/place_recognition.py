@@ -76,6 +76,11 @@ class Places:
         self.count += 1
         return self.count - 1
 
+    def extend(self, other: Places, numbers: list[int]) -> None:
+        """Remember these of another one's places."""
+        for n in numbers:
+            self.add(other._spectra[n])
+
     def find(self, thumbnail: Thumbnail, count: int = 5, among: NDArray[np.bool_] | None = None) -> list[Match]:
         """The ``count`` most alike places, best first; ``among`` (N,): only these."""
         numbers = np.arange(self.count) if among is None else np.flatnonzero(among[: self.count])

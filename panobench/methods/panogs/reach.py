@@ -30,6 +30,10 @@ class Reach:
         while len(self.steps) > self.frames:
             self.steps.popleft()
 
+    def usual(self, frames: int) -> float:
+        """The way of so many frames at the usual speed; infinite while none is known."""
+        return frames * float(np.median(self.steps)) if self.steps else np.inf
+
     def allows(self, before: Pose, after: Pose, frames: int, depth: float, expected: Pose | None = None) -> bool:
         """Whether ``after`` can be reached from ``before`` within so many frames.
 
@@ -37,9 +41,7 @@ class Reach:
         """
         if expected is not None and np.degrees(turn(expected, after)) > TURN_DEG:
             return False
-        if not self.steps:
-            return True
-        most = STEPS * frames * float(np.median(self.steps)) + FREE_DEPTHS * depth
+        most = STEPS * self.usual(frames) + FREE_DEPTHS * depth
         return float(np.linalg.norm(after[:3, 3] - before[:3, 3])) <= most
 
 

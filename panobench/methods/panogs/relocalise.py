@@ -58,6 +58,12 @@ class Relocaliser:
         self.lost_for += 1
         self._good = None
 
+    def found(self, T_wc: Pose, luma: F32) -> None:
+        """The camera is known to be at ``T_wc`` (4, 4), where it sees ``luma`` (h, w); what was usual says nothing."""
+        self.lost_for, self._good = 0, (T_wc, luma)
+        self.usual.clear()
+        self.tracker.restart(T_wc)
+
     def judge(
         self, tracked: Tracked, gaussians: GaussianMap, keyframes: Sequence[View], expected: Pose | None = None
     ) -> Tracked | None:

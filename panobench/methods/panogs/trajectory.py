@@ -126,6 +126,27 @@ class AnchoredTrajectory:
         """Put back what ``pop`` took out."""
         self._tracked[index] = frame
 
+    def adopt(self, other: AnchoredTrajectory, motion: Sim3) -> list[int]:
+        """Take over all poses of another trajectory, of whose world ``motion`` is the motion into this one.
+
+        Where both have a frame, the other's pose counts. Returns the numbers that the other's keyframes have here.
+        """
+        for view in {id(v): v for v in [*other.keyframes, *other.frames]}.values():
+            view.moved(motion)
+        for frame in other._tracked.values():
+            frame.relative[:3, 3] *= motion.scale
+        self._tracked |= other._tracked
+        number = {view.index: n for n, view in enumerate(self.keyframes)}
+        for view in self.keyframes:
+            if view.index in other:
+                view.T_wc = self[view.index]
+        for view in other.keyframes:
+            known = number.setdefault(view.index, len(self.keyframes))
+            (self.keyframes if known == len(self.keyframes) else self.frames).append(view)
+        self.frames.extend(other.frames)
+        self._tracked = dict(sorted(self._tracked.items()))
+        return [number[view.index] for view in other.keyframes]
+
     # -- correcting --------------------------------------------------------------------------------------------------
 
     def correct(self, correction: Correction) -> None:

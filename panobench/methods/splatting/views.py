@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import renormalise, se3_exp
+from panobench.geometry import Sim3, renormalise, se3_exp
 from panobench.methods.splatting.culling import VisibilityCulling
 
 
@@ -70,3 +70,8 @@ class View:
     @property
     def position(self) -> NDArray[np.float64]:
         return self.T_wc[:3, 3]
+
+    def moved(self, motion: Sim3) -> None:
+        """Go along into another world and another map, where what it sees is not known yet."""
+        self.T_wc = motion.apply_poses(self.T_wc)
+        self.seen, self.pose_adam, self.culling = None, PoseAdam(), VisibilityCulling()

@@ -1,0 +1,256 @@
+"""Several maps: where the camera is lost for good another one begins, and maps are joined where they can be.
+
+The word is that of Campos et al., "ORB-SLAM3" (2021). A new map begins with frames from before the loss. If the old map
+had these right, they join the two at once, as where a doorway shows too much that is new at a time. Else the new map
+stands alone, as after a cut, until the camera is found in the old one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.cameras.base import Camera
+from panobench.depth.bootstrap import BootstrapDepth
+from panobench.geometry import Sim3
+from panobench.maps.saved import SavedMap
+from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
+from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.exposure import is_blank
+from panobench.methods.panogs.joining import join, similarity
+from panobench.methods.panogs.localise import Localiser
+from panobench.methods.panogs.method import PanogsMethod, Phase
+from panobench.types import Estimate, Frame
+
+Pose = NDArray[np.float64]
+
+
+#: A map that follows another begins this near to where that was left: steps at the usual speed, median depths, and
+#: the share of its own way by which it may have drifted until the two meet.
+STEPS, DEPTHS, DRIFT = 1.5, 0.25, 0.02
+
+
+class Lookout:
+    """Looks for the camera in a map that it has left.
+
+    cut: the recording does not go on where it was left. poses (4, 4) by frame index: where the camera was found in a
+    row.
+    """
+
+    def __init__(self, left: PanogsMethod, config: PanogsConfig, cut: bool) -> None:
+        self.map, self.cut, o = left, cut, config.atlas
+        few = (o.common_after_cut, o.moved_after_cut) if cut else (o.common, o.moved)
+        self.options = replace(o, common=few[0], moved=few[1])
+        keyframes, renderer = left.trajectory.keyframes, left.tracker.renderer
+        self.localiser = Localiser(renderer, config, keyframes, left.places, config.relocalisation.patience)
+        self.last = max(left.trajectory)
+        self.poses: dict[int, Pose] = {}
+
+    def look(self, frame: Frame) -> None:
+        found = self.localiser.look(frame, self.map.mapper.map.gaussians)
+        if found is None or self.localiser.relocaliser.agreed < self.options.agree:
+            self.poses.clear()
+        else:
+            self.poses[frame.index] = found.T_wc
+
+    @property
+    def sure(self) -> bool:
+        """Whether the camera is there, and may have come there since the map was left."""
+        if len(self.poses) < self.options.common:
+            return False
+        first = min(self.poses)
+        reach, depth = self.map.relocaliser.reach, self.map.mapper.scene_depth
+        before, after = self.map.trajectory[self.last], self.poses[first]
+        return self.cut or reach.allows(before, after, first - self.last, depth)
+
+    def go_back(self) -> PanogsMethod:
+        """The map, which goes on where the camera was found last."""
+        left, tracker = self.map, self.localiser.tracker
+        left.relocaliser.found(self.poses[max(self.poses)], tracker.pyramid[-1])
+        left.tracker.velocity, left.phase = tracker.velocity, Phase.TRACKING
+        return left
+
+    def lies(self, other: PanogsMethod, poses: Mapping[int, Pose]) -> Sim3 | None:
+        """The motion of another map's world into this one's, by the frames with ``poses`` here; None if unknown.
+
+        Unless there was a cut, the other must begin about where this one was left: rooms may look alike.
+        """
+        theirs = {index: other.trajectory[index] for index in poses if index in other.trajectory}
+        depth = self.map.mapper.scene_depth
+        motion = similarity(poses, theirs, depth, self.options)
+        indices = [index for index in sorted(other.trajectory) if index > self.last]
+        if motion is None or self.cut or not indices:
+            return motion
+        way = motion.apply_points([other.trajectory[index][:3, 3] for index in indices])
+        usual = self.map.relocaliser.reach.usual(indices[0] - self.last)
+        length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+        near = STEPS * usual + DEPTHS * depth + DRIFT * length
+        return motion if np.linalg.norm(way[0] - self.map.trajectory[self.last][:3, 3]) <= near else None
+
+
+class AtlasMethod(OnlineMethod):
+    """One frame is: track it in the newest map; where that has lost it, begin another; join what can be joined.
+
+    maps: those that are not joined, the newest last. beginning: one that waits for its first depth.
+    """
+
+    config: PanogsConfig
+    uses_device = True
+
+    def __init__(self, config: PanogsConfig | None = None) -> None:
+        super().__init__(config or PanogsConfig())
+
+    def start(self, camera: Camera, context: MethodContext) -> None:
+        self.camera, self.context, self.options = camera, context, self.config.atlas
+        self.maps = [self._new_map(context)]
+        # An IMU bridges gaps and a rig starts again in metres; a saved map is the only world there is.
+        single = context.imu is not None or context.rig is not None or context.saved_map is not None
+        self.enabled = self.options.enabled and not single and context.make_depth is not None
+        self.lookouts: list[Lookout] = []
+        self.beginning: PanogsMethod | None = None
+        self.recent: deque[Frame] = deque(maxlen=self.options.overlap)  # frames that were tracked last
+        self.missed: list[Frame] = []  # frames since that were not
+        self.cut = False  # the first of the missed frames shows another place than the last one that was tracked
+        self.joined = self.joined_by_looks = 0
+
+    def _new_map(self, context: MethodContext) -> PanogsMethod:
+        new = PanogsMethod(self.config)
+        new.start(self.camera, context)
+        return new
+
+    @property
+    def newest(self) -> PanogsMethod:
+        return self.maps[-1]
+
+    # -- one frame -----------------------------------------------------------------------------------------------------
+
+    def track(self, frame: Frame) -> Pose | None:
+        self.newest.track(frame)
+        if self.enabled:
+            if frame.index in self.newest.trajectory:
+                self._found(frame)
+            elif self.newest.phase is Phase.LOST and not is_blank(frame.image, self.newest.tracker.valid):
+                self._missed(frame)
+        return self.maps[0].trajectory.get(frame.index)  # other worlds are told of once they are joined
+
+    def _found(self, frame: Frame) -> None:
+        """The newest map has the frame: no other one has to begin, but older ones may know the place, too."""
+        if self.cut and self.recent:
+            self.joined_by_looks += self._is_far(self.recent[-1].index, frame.index)
+        self.recent.append(frame)
+        self.missed, self.beginning, self.cut = [], None, False
+        is_keyframe = self.newest.numbers[frame.index].get("keyframe", 0.0) > 0
+        for lookout in list(self.lookouts):
+            if is_keyframe or lookout.poses:
+                lookout.look(frame)
+                self._join(lookout, lookout.poses)
+
+    def _missed(self, frame: Frame) -> None:
+        """The newest map has lost the frame: look in older ones, or begin another one and go over to it."""
+        self.missed.append(frame)
+        if len(self.missed) == 1 and self.recent:
+            self.cut = self._is_cut(self.recent[-1], frame)
+        for lookout in self.lookouts:
+            lookout.look(frame)
+            if lookout.sure:
+                self._go_over(lookout.go_back())
+                return
+        if self.beginning is not None:
+            self.beginning.track(frame)
+        elif len(self.missed) >= self.options.lost:
+            self.beginning = self._new_map(replace(self.context, make_depth=BootstrapDepth, warn=self.context.log))
+            for earlier in [*self.recent, *self.missed]:
+                self.beginning.track(earlier)
+        if self.beginning is None:
+            return
+        new = self.beginning
+        if new.phase is Phase.WAITING:
+            if self.recent and len(self.missed) > self.options.patience:
+                self._give_up()
+        elif frame.index not in new.trajectory or new.first_depth is None or not new.first_depth.ok:
+            self._give_up()
+        else:
+            self._go_over(new)
+
+    def _give_up(self) -> None:
+        """What began is no map of where the camera is now: try again, without what was seen before the loss."""
+        self.beginning = None
+        self.missed = []
+        self.recent.clear()
+
+    def _is_cut(self, last: Frame, frame: Frame) -> bool:
+        """Whether two frames in a row show different places; not known if frames between them showed nothing."""
+        places, tracker = self.newest.places, self.newest.tracker
+        one, other = (places.thumbnail(tracker.frame_pyramid(f.image, f.mask)[-1]) for f in (last, frame))
+        return frame.index == last.index + 1 and places.compare(one, other)[0][0] < self.options.alike
+
+    def _is_far(self, last: int, index: int) -> bool:
+        """Whether the newest map found a frame elsewhere than about where it had lost the camera."""
+        m = self.newest
+        way = np.linalg.norm(m.trajectory[index][:3, 3] - m.trajectory[last][:3, 3])
+        return bool(way > STEPS * m.relocaliser.reach.usual(index - last) + DEPTHS * m.mapper.scene_depth)
+
+    def _go_over(self, new: PanogsMethod) -> None:
+        """Leave the newest map for one that has begun, or for an older one."""
+        left = Lookout(self.newest, self.config, self.cut)
+        self.context.log(
+            f"lost after frame {left.last}{' at a cut' * self.cut}: on in another map from frame {max(new.trajectory)}"
+        )
+        self.maps = [one for one in self.maps if one is not new] + [new]
+        self.lookouts = [one for one in self.lookouts if one.map is not new] + [left]
+        self.beginning, self.missed, self.cut = None, [], False
+        self.recent.clear()
+        known = left.map.trajectory
+        self._join(left, {index: known[index] for index in known if index in new.trajectory})
+
+    def _join(self, older: Lookout, poses: Mapping[int, Pose]) -> None:
+        """Make the newest map part of one that was left, if frames with ``poses`` in that show how."""
+        newest = self.newest
+        motion = older.lies(newest, poses)
+        if motion is None:
+            return
+        join(older.map, newest, motion)
+        self.joined += 1
+        self.joined_by_looks += older.cut
+        self.context.log(f"two maps joined by {len(poses)} frames: the newer one grows {motion.scale:.3f} times")
+        self.maps = [one for one in self.maps if one is not older.map and one is not newest] + [older.map]
+        self.lookouts = [one for one in self.lookouts if one is not older]
+
+    # -- the end -------------------------------------------------------------------------------------------------------
+
+    def finish(self) -> Estimate:
+        """The answer of the map that has most frames; how many maps there are is in ``extra``."""
+        self.beginning = None
+        estimate = self._largest.finish()
+        if self.enabled:
+            estimate.extra |= {"maps": len(self.maps), "joined": self.joined, "joined_by_looks": self.joined_by_looks}
+        others = [one for one in self.maps if one is not self._largest]
+        if others:
+            frames = sum(len(one.trajectory) for one in others)
+            self.context.warn(
+                f"{len(others)} more maps with {frames} frames could not be joined to the largest: "
+                "their frames have no pose"
+            )
+        return estimate
+
+    @property
+    def _largest(self) -> PanogsMethod:
+        return max(self.maps, key=lambda one: len(one.trajectory))
+
+    def saved_map(self) -> SavedMap | None:
+        return self._largest.saved_map()
+
+    def known_poses(self) -> dict[int, Pose]:
+        return self._largest.known_poses()
+
+    # -- looking at it -------------------------------------------------------------------------------------------------
+
+    def live_map(self) -> LiveMap | None:
+        return self.newest.live_map()
+
+    def render(self, camera: Camera, T_wc: Pose) -> NDArray[np.float32] | None:
+        return self._largest.render(camera, T_wc)
