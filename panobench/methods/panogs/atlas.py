@@ -113,6 +113,7 @@ class AtlasMethod(OnlineMethod):
         self.lookouts: list[Lookout] = []
         self.beginning: PanogsMethod | None = None
         self.recent: deque[Frame] = deque(maxlen=self.options.overlap)  # frames that were tracked last
+        self.last = 0  # the last frame that was tracked
         self.missed: list[Frame] = []  # frames since that were not
         self.cut = False  # the first of the missed frames shows another place than the last one that was tracked
         self.joined = self.joined_by_looks = 0
@@ -139,8 +140,9 @@ class AtlasMethod(OnlineMethod):
 
     def _found(self, frame: Frame) -> None:
         """The newest map has the frame: no other one has to begin, but older ones may know the place, too."""
-        if self.cut and self.recent:
-            self.joined_by_looks += self._is_far(self.recent[-1].index, frame.index)
+        if self.cut:
+            self.joined_by_looks += self._is_far(self.last, frame.index)
+        self.last = frame.index
         self.recent.append(frame)
         self.missed, self.beginning, self.cut = [], None, False
         is_keyframe = self.newest.numbers[frame.index].get("keyframe", 0.0) > 0

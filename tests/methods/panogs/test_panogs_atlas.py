@@ -54,3 +54,14 @@ def test_one_map_is_left_alone_where_others_are_not_wanted() -> None:
     assert len(method.maps) == 1
     assert "maps" not in estimate.extra
     assert len(estimate.trajectory.times) == 12
+
+
+def test_a_camera_found_far_from_where_a_cut_lost_it_is_found_by_looks_alone() -> None:
+    one, other = TinySequence(CAMERA, 30), TinySequence(CAMERA, 3, seed=99)
+    there = [one.image(i) for i in range(30)]
+    cut = [other.image(i) for i in range(3)]
+    near, far = [one.image(i) for i in range(28, 24, -1)], [one.image(i) for i in range(4)]
+    assert shown(there + cut + near)[1].extra["joined_by_looks"] == 0
+    method, estimate, _ = shown(there + cut + far)
+    assert estimate.extra["joined_by_looks"] == 1
+    assert len(method.maps) == 1
