@@ -32,8 +32,8 @@ Array = NDArray[np.float64]
 
 #: Width of the panorama the search works on, and pixels of the faces on which corners are followed.
 WIDTH, FACE_PIXELS = 256, 120_000
-#: Pairs looked at: one for so many frames, within bounds.
-FRAMES_PER_PAIR, FEWEST_PAIRS, MOST_PAIRS = 15, 5, 12
+#: Pairs looked at: one for so many frames, within bounds. Five left half a face that turns unhidden.
+FRAMES_PER_PAIR, FEWEST_PAIRS, MOST_PAIRS = 15, 10, 12
 #: Pixels of the panorama along the border of the view where nothing is compared: half the windows of the comparison.
 BORDER = 8
 #: Less than this share of the view is noise, more is a mistake.

@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 #: Votes before anything is seen, and what they say: the scene rather.
 PRIOR, PRIOR_VOTE = 0.6, -0.3
 #: A region goes as far as evidence above LOW and has some above HIGH.
-LOW, HIGH = -0.1, 0.3
+LOW, HIGH = -0.2, 0.3
 #: Share of the sphere of strong evidence below which a region is chance, and of the largest hole that is filled.
 LEAST_SEED, LARGEST_HOLE = 2e-3, 0.02
 #: Gaps up to this many pixels of the panorama are closed; what is found is widened by so many.

@@ -37,6 +37,17 @@ def test_what_is_found_is_widened_by_a_little_and_speckles_are_dropped() -> None
     assert not region(np.zeros_like(true)).any()
 
 
+def test_doubtful_evidence_beside_what_is_found_counts_and_by_itself_does_not() -> None:
+    found, beside = cap((0, 0, 1), 20), cap((0, 0, 1), 40) & ~cap((0, 0, 1), 20)
+    apart = cap((0, 0, -1), 20)
+    weights = np.full(found.shape, 10.0)
+    doubtful = hidden_region(P, np.select([found, beside | apart], [10.0, -1.4], -10.0), weights)
+    assert doubtful[beside].mean() > 0.95
+    assert not doubtful[apart].any()
+    scene = hidden_region(P, np.select([found, beside | apart], [10.0, -2.5], -10.0), weights)
+    assert scene[beside & ~cap((0, 0, 1), 30)].mean() < 0.05
+
+
 def test_gaps_and_holes_are_filled_but_not_the_scene_between() -> None:
     true = cap((0, 1, 0), 60) & ~cap((0, 0.8, -0.6), 8)
     assert region(true)[cap((0, 0.8, -0.6), 7)].all()

@@ -86,11 +86,12 @@ class Mapper:
 
     # -- frames ------------------------------------------------------------------------------------------------------
 
-    def initialise(self, view: View, time: float, depth_map: F32) -> None:
-        """The first map, from the first keyframe and its radial depth (H, W)."""
+    def initialise(self, view: View, time: float, depth_map: F32, seen: Mask | None = None) -> None:
+        """The first map, from the first keyframe and its radial depth (H, W); only where ``seen`` (H, W), if given."""
         depth_map = fill_depth(depth_map, self.camera.kind == "erp")
         self.optimiser.scene_depth = float(np.nanmedian(depth_map))
-        self.seed(view, depth_map, *self.pattern.seeds(view.image, view.visible, self.rng))
+        wanted = view.visible if seen is None else seen if view.visible is None else view.visible & seen
+        self.seed(view, depth_map, *self.pattern.seeds(view.image, wanted, self.rng))
         render = self.renderer.forward(self.map.gaussians, view.T_wc, count_touched=True)
         view.seen = self._seen(render)
         self.add_keyframe(view, [view], time)

@@ -26,6 +26,7 @@ from panobench.methods.panogs.config import PanogsConfig, StitchOptions
 from panobench.methods.panogs.continuation import add_places, continue_map, saved_map
 from panobench.methods.panogs.exposure import ExposureMatcher, is_blank
 from panobench.methods.panogs.factors import FactorGraph
+from panobench.methods.panogs.first_view import well_seen
 from panobench.methods.panogs.fixed_lag import FixedLag
 from panobench.methods.panogs.ghosts import remove_ghosts
 from panobench.methods.panogs.jobs import BackgroundJobs
@@ -255,7 +256,8 @@ class PanogsMethod(OnlineMethod):
         view = View(first.index, first.image, np.eye(4), visible=first.mask)
         self.exposure.start(first.image)
         self.shutter.record(first.time, view.T_wc)
-        self.mapper.initialise(view, first.time, self.first_depth.depth)
+        depth = self.first_depth
+        self.mapper.initialise(view, first.time, depth.depth, well_seen(self.tracker.camera, depth, start.frames))
         levels = self.tracker.frame_pyramid(view.image, first.mask)
         self.graph.add(first.index, levels[self.lag.buffer.fine_scale.level])
         self.places.add(self.places.thumbnail(levels[-1]))
