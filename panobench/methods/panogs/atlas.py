@@ -20,6 +20,7 @@ from panobench.geometry import Sim3
 from panobench.maps.saved import SavedMap
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
+from panobench.methods.panogs.cuts import CutDetector
 from panobench.methods.panogs.exposure import is_blank
 from panobench.methods.panogs.joining import join, similarity
 from panobench.methods.panogs.localise import Localiser
@@ -115,7 +116,8 @@ class AtlasMethod(OnlineMethod):
         self.recent: deque[Frame] = deque(maxlen=self.options.overlap)  # frames that were tracked last
         self.last = 0  # the last frame that was tracked
         self.missed: list[Frame] = []  # frames since that were not
-        self.cut = False  # the first of the missed frames shows another place than the last one that was tracked
+        self.cuts = CutDetector(camera, self.options.alike)
+        self.cut = False  # between the last frame that was tracked and the first one that was not
         self.joined = self.joined_by_looks = 0
 
     def _new_map(self, context: MethodContext) -> PanogsMethod:
@@ -131,17 +133,18 @@ class AtlasMethod(OnlineMethod):
 
     def track(self, frame: Frame) -> Pose | None:
         self.newest.track(frame)
-        if self.enabled:
+        if self.enabled and not is_blank(frame.image, self.newest.tracker.valid):
+            is_cut = self.cuts.look(frame)
             if frame.index in self.newest.trajectory:
-                self._found(frame)
-            elif self.newest.phase is Phase.LOST and not is_blank(frame.image, self.newest.tracker.valid):
-                self._missed(frame)
+                self._found(frame, is_cut)
+            elif self.newest.phase is Phase.LOST:
+                self._missed(frame, is_cut)
         return self.maps[0].trajectory.get(frame.index)  # other worlds are told of once they are joined
 
-    def _found(self, frame: Frame) -> None:
+    def _found(self, frame: Frame, is_cut: bool) -> None:
         """The newest map has the frame: no other one has to begin, but older ones may know the place, too."""
-        if self.cut:
-            self.joined_by_looks += self._is_far(self.last, frame.index)
+        if is_cut or (self.cut and self._is_far(self.last, frame.index)):
+            self.joined_by_looks += 1
         self.last = frame.index
         self.recent.append(frame)
         self.missed, self.beginning, self.cut = [], None, False
@@ -151,11 +154,12 @@ class AtlasMethod(OnlineMethod):
                 lookout.look(frame)
                 self._join(lookout, lookout.poses)
 
-    def _missed(self, frame: Frame) -> None:
+    def _missed(self, frame: Frame, is_cut: bool) -> None:
         """The newest map has lost the frame: look in older ones, or begin another one and go over to it."""
         self.missed.append(frame)
-        if len(self.missed) == 1 and self.recent:
-            self.cut = self._is_cut(self.recent[-1], frame)
+        if is_cut and frame.index == self.last + 1:  # what was seen before shows another place
+            self.cut = True
+            self.recent.clear()
         for lookout in self.lookouts:
             lookout.look(frame)
             if lookout.sure:
@@ -183,12 +187,6 @@ class AtlasMethod(OnlineMethod):
         self.beginning = None
         self.missed = []
         self.recent.clear()
-
-    def _is_cut(self, last: Frame, frame: Frame) -> bool:
-        """Whether two frames in a row show different places; not known if frames between them showed nothing."""
-        places, tracker = self.newest.places, self.newest.tracker
-        one, other = (places.thumbnail(tracker.frame_pyramid(f.image, f.mask)[-1]) for f in (last, frame))
-        return frame.index == last.index + 1 and places.compare(one, other)[0][0] < self.options.alike
 
     def _is_far(self, last: int, index: int) -> bool:
         """Whether the newest map found a frame elsewhere than about where it had lost the camera."""
