@@ -30,7 +30,10 @@ def export(
         float | None, typer.Option(help="For mesh: edge of a voxel in the map's unit; default: 1/256 of the map.")
     ] = None,
     camera: Annotated[str, typer.Option(help="For mp4: erp, or pinhole:DEGREES.")] = "erp",
-    width: Annotated[int | None, typer.Option(min=16, max=8192, help="Of a film or of faces, pixels.")] = None,
+    width: Annotated[
+        int | None,
+        typer.Option(min=16, max=8192, help="Of a film, of faces, or of the frames read for a mesh, pixels."),
+    ] = None,
     seconds: Annotated[float, typer.Option(help="For mp4: how long it is.")] = 10.0,
 ) -> None:
     """Write a stored run's path, points, surface, splats, film or model for another program."""

@@ -10,6 +10,7 @@ import pytest
 
 import panobench
 from panobench.bench.export import FORMATS, ExportOptions, export_run
+from panobench.bench.export.frames import frames_of
 from panobench.cameras.calibration import colmap, nerfstudio
 from panobench.cameras.calibration.result import ReadOptions
 from panobench.cli.main import run as command
@@ -68,6 +69,11 @@ def test_a_colmap_model_reads_back(run: panobench.Run, tmp_path: Path) -> None:
         assert np.abs(T_cw @ T_wc - np.eye(4)).max() < 1e-9
         point = np.array([0.3, -0.2, 1.5])  # in front of the camera, in its axes
         assert np.abs(image.camera.img_from_cam(point) - run.camera.project(point[None])[0][0]).max() < 1e-3
+
+
+def test_frames_are_read_again_at_the_width_that_is_asked_for(run: panobench.Run) -> None:
+    assert [frames_of(run, width).image(3).shape[1] for width in (None, 96)] == [run.camera.width, 96]
+    assert len(frames_of(run, 96)) == 4
 
 
 def test_a_nerfstudio_model_reads_back(run: panobench.Run, tmp_path: Path) -> None:

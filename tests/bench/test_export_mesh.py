@@ -71,7 +71,7 @@ def test_the_frames_of_a_panorama_are_asked_where_they_can_be_read(
     run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("skimage")
-    camera, asked = ErpCamera(128, 64), []
+    camera, asked, widths = ErpCamera(128, 64), [], []
     renderer = Renderer(camera)
 
     def image(index: int) -> np.ndarray:
@@ -79,11 +79,15 @@ def test_the_frames_of_a_panorama_are_asked_where_they_can_be_read(
         colour = renderer.forward(run.map, run.trajectory.T_wc[index]).colour
         return np.rint(255 * np.clip(np.nan_to_num(colour), 0, 1)).astype(np.uint8)
 
-    sequence = SimpleNamespace(camera=camera, image=image)
-    monkeypatch.setattr("panobench.bench.export.frames.frames_of", lambda run: sequence)
+    def opened(run: Any, width: int | None) -> SimpleNamespace:
+        widths.append(width)
+        return SimpleNamespace(camera=camera, image=image)
+
+    monkeypatch.setattr("panobench.bench.export.frames.frames_of", opened)
     stored = SimpleNamespace(**vars(run), camera=camera, frames={"time": run.trajectory.times})
-    FORMATS["mesh"].write(stored, tmp_path / "m.ply", ExportOptions(voxel=0.04))
+    FORMATS["mesh"].write(stored, tmp_path / "m.ply", ExportOptions(voxel=0.04, width=128))
     assert asked == list(range(7))
+    assert widths == [128]
     vertex = PlyData.read(tmp_path / "m.ply")["vertex"]
     radii = np.linalg.norm(np.stack([vertex[n] for n in "xyz"], axis=1), axis=1)
     assert len(radii) > 1000

@@ -25,7 +25,8 @@ MIN_OPACITY = 0.5
 class ExportOptions:
     """images: the frames are read from the data again; models hold them, and a mesh's depth is put right by them.
     faces: those of panoramas as the six faces of a cube. voxel: edge of a mesh's voxels, map units; None chooses.
-    camera: of a film, "erp" or "pinhole:DEGREES". width: of a film or a face, pixels. seconds: length of a film.
+    camera: of a film, "erp" or "pinhole:DEGREES". width: of a film or a face, or of the frames read
+    for a mesh, pixels; None chooses, for a mesh the run's. seconds: length of a film.
     """
 
     images: bool = True

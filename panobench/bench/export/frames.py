@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,13 +78,17 @@ def face_rotations() -> list[Array]:
     return [view_rotation(name) for name in FACES]
 
 
-def frames_of(run: Run) -> ChosenFrames:
-    """The frames of the run, read from the data set again. Raises InputError where it is gone."""
+def frames_of(run: Run, width: int | None = None) -> ChosenFrames:
+    """The frames of the run, read from the data set again, at another width if given.
+
+    Raises InputError where the data set is gone.
+    """
     from panobench.bench.setup import open_input
 
     spec = run.record.spec
+    request = RunRequest(**{o.name: spec.option(o.name) for o in run_options()})
     try:
-        return open_input(RunRequest(**{o.name: spec.option(o.name) for o in run_options()}))
+        return open_input(request if width is None else replace(request, width=width))
     except PanobenchError as error:
         raise InputError(f"the frames cannot be read again ({error}); --no-images leaves them out") from error
 

@@ -53,7 +53,7 @@ def mesh(run: Run, target: Path, options: ExportOptions) -> None:
     chosen = chosen_poses(len(path))
     depths, colours = _views(gaussians, path[chosen])
     if options.images and run.camera.kind == "erp":
-        depths = _by_frames(run, chosen, depths)
+        depths = _by_frames(run, chosen, depths, options.width)
     made = surface(gaussians, path[chosen], depths, colours, options.voxel)
     write_whole(target, mesh_ply(made))
 
@@ -63,17 +63,17 @@ def chosen_poses(count: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, VIEWS).round().astype(np.int64))
 
 
-def _by_frames(run: Run, chosen: NDArray[np.int64], depths: Float) -> Float:
-    """The depths (K, H, W) at the chosen poses, corrected by the frames there."""
+def _by_frames(run: Run, chosen: NDArray[np.int64], depths: Float, width: int | None) -> Float:
+    """The depths (K, H, W) at the chosen poses, corrected by the frames there, read at a width (None: the run's)."""
+    from panobench.bench.export.frame_depth import depths_by_frames
     from panobench.bench.export.frames import frames_of, shots_of
-    from panobench.bench.export.plane_depth import corrected_depths
     from panobench.bench.export.posed_panoramas import posed_panoramas
 
     every = shots_of(run, ExportOptions())
     shots = [every[k] for k in chosen]
     T_wc = np.stack([shot.T_wc for shot in shots])
-    views = posed_panoramas(frames_of(run), [shot.frame for shot in shots], T_wc, depths)
-    return corrected_depths(views, depths)
+    views = posed_panoramas(frames_of(run, width), [shot.frame for shot in shots], T_wc, depths, WIDTH)
+    return depths_by_frames(views, depths)
 
 
 def surface(

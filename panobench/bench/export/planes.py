@@ -61,6 +61,15 @@ def depth_edges(depth: NDArray[np.float32]) -> Mask:
     return np.asarray(cv2.dilate(depth, square) > (1 + EDGE) * cv2.erode(depth, square))
 
 
+def normals_of(depth: NDArray[np.float32], rays: NDArray[np.floating]) -> Array:
+    """Unit normals (H, W, 3) of the points depth * rays, from means over 5 x 5 pixels."""
+    mean = cv2.blur(depth[..., None] * rays, (5, 5))
+    across = np.roll(mean, -2, axis=1) - np.roll(mean, 2, axis=1)
+    down = np.roll(mean, -2, axis=0) - np.roll(mean, 2, axis=0)
+    normal = np.cross(across, down)
+    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12))
+
+
 def _points(views: PosedPanoramas) -> _Points:
     """Points of the rendered depth; they weigh their area, and where nothing has texture one part in fifty of it."""
     area = views.scale.camera.solid_angle()
@@ -72,7 +81,7 @@ def _points(views: PosedPanoramas) -> _Points:
         use &= views.scale.valid & ~depth_edges(depth)
         weight = area * depth**2 * np.clip(_texture(luma) / 0.02, 0.02, 1.0)
         X = (depth[..., None] * rays)[use] + views.T_wc[k, :3, 3]
-        parts.append((X, _normals(depth, rays)[use], depth[use].astype(np.float64), weight[use]))
+        parts.append((X, normals_of(depth, rays)[use], depth[use].astype(np.float64), weight[use]))
     return _Points(*(np.concatenate(columns) for columns in zip(*parts)))
 
 
@@ -81,15 +90,6 @@ def _texture(luma: NDArray[np.float32]) -> NDArray[np.float32]:
     soft = cv2.GaussianBlur(np.nan_to_num(luma), (0, 0), 0.8)
     across, down = cv2.Sobel(soft, cv2.CV_32F, 1, 0) / 8, cv2.Sobel(soft, cv2.CV_32F, 0, 1) / 8
     return np.asarray(np.sqrt(cv2.GaussianBlur(across**2 + down**2, (0, 0), 1.5)), np.float32)
-
-
-def _normals(depth: NDArray[np.float32], rays: Array) -> Array:
-    """Unit normals (H, W, 3) of the points depth * rays, from means over 5 x 5 pixels."""
-    mean = cv2.blur(depth[..., None] * rays, (5, 5))
-    across = np.roll(mean, -2, axis=1) - np.roll(mean, 2, axis=1)
-    down = np.roll(mean, -2, axis=0) - np.roll(mean, 2, axis=0)
-    normal = np.cross(across, down)
-    return np.asarray(normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12))
 
 
 def _consensus(points: _Points, generator: np.random.Generator) -> list[Plane]:

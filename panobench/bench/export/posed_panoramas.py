@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import invert_pose
-from panobench.photometric.pyramid import luma_of_frame, pyramid
+from panobench.photometric.pyramid import halve, luma_of_frame, pyramid
 from panobench.photometric.stereo import WorkingScale
 from panobench.photometric.sweep import reprojection_error
 
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 Float = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-#: Frames are compared at this width.
-WIDTH = 512
 #: Frames that one is compared with, and their distances from it over the scene's median depth.
 OTHERS, NEAREST, FARTHEST = 7, 0.05, 0.7
 #: Differences of luma (of 1) are cut here.
@@ -49,10 +47,21 @@ class PosedPanoramas:
     def median_depth(self) -> float:
         return float(np.median(self.depth))
 
-    def others(self, k: int, most: int = OTHERS) -> list[int]:
-        """Views to compare view ``k`` with, spread over the useful baselines; none where the camera stood still."""
+    def halved(self) -> PosedPanoramas | None:
+        """The same at half the size; None where a side has an odd number of pixels."""
+        height, width = self.luma.shape[1:]
+        if height % 2 or width % 2:
+            return None
+        luma = np.stack([halve(luma) for luma in self.luma])
+        return PosedPanoramas(luma, self.depth[:, ::2, ::2], self.T_wc, WorkingScale.of(self.scale.camera, width // 2))
+
+    def others(self, k: int, most: int = OTHERS, nearest: float = NEAREST, farthest: float = FARTHEST) -> list[int]:
+        """Views to compare view ``k`` with, spread over the useful baselines; none where the camera stood still.
+
+        nearest, farthest: over the median depth.
+        """
         baselines = np.linalg.norm(self.T_wc[:, :3, 3] - self.T_wc[k, :3, 3], axis=1) / self.median_depth
-        useful = [j for j in np.argsort(baselines) if NEAREST < baselines[j] < FARTHEST]
+        useful = [j for j in np.argsort(baselines) if nearest < baselines[j] < farthest]
         if not useful:
             return []
         return [int(useful[i]) for i in np.unique(np.linspace(0, len(useful) - 1, most).round().astype(int))]
@@ -82,9 +91,14 @@ class PosedPanoramas:
         return np.asarray(np.partition(found, best - 1, axis=0)[:best].mean(axis=0), np.float32)
 
 
-def posed_panoramas(sequence: ChosenFrames, frames: list[int], T_wc: Array, depths: Float) -> PosedPanoramas:
-    """Frames of a panoramic sequence beside depths (K, H, W) of any size; those without depth get the median."""
-    scale = WorkingScale.of(sequence.camera, WIDTH)
+def posed_panoramas(
+    sequence: ChosenFrames, frames: list[int], T_wc: Array, depths: Float, widest: int
+) -> PosedPanoramas:
+    """Frames of a panoramic sequence beside depths (K, H, W) of any size; pixels without depth get the median.
+
+    Frames that are wider than ``widest`` pixels are halved until they are not.
+    """
+    scale = WorkingScale.of(sequence.camera, widest)
     valid = sequence.camera.valid_mask()
     levels = (pyramid(luma_of_frame(sequence.image(i), valid), smallest_width=16) for i in frames)
     luma = np.stack([found[scale.level] for found in levels])

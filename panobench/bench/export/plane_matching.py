@@ -1,0 +1,151 @@
+"""Depth of each panorama of a path by the others: PatchMatch at half the size, then at the whole.
+
+It starts at the depth at hand. Views far apart are compared, because the depth of a wall is known no better than their
+parallax allows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from panobench.bench.export.patchmatch import propagate, try_planes, window
+from panobench.bench.export.planes import normals_of
+from panobench.bench.export.posed_panoramas import PosedPanoramas
+from panobench.geometry import invert_pose
+from panobench.photometric.planar import depth_information, planar_filter
+from panobench.photometric.sweep import padded
+
+Float = NDArray[np.float32]
+
+#: Views that one is compared with, and their distances from it over the scene's median depth.
+OTHERS, NEAREST, FARTHEST = 10, 0.15, 1.0
+#: The part of the others with the least differences counts: the rest may be hidden.
+VISIBLE = 0.6
+#: Pixels between the samples of a window: wider ones straddle the edges of small things.
+SPACING = 1
+#: Differences of luma (of 1) are cut here, and a sample weighs less the more its luma differs from the middle's.
+TRUNCATION, SIGMA = 0.03, 0.1
+#: A better plane must save so much, so that nothing moves where nothing has texture; closer than ``SAME``, planes are
+#: one.
+SAVED, SAME = 3e-5, 1e-3
+#: Of the filter at the end (``planar_filter``): pixels around each, differences of luma (of 1) and of log depth.
+RADIUS, SMOOTH_LUMA, SMOOTH_DEPTH, FLOOR = 6, 0.03, 0.008, 0.01
+#: Depths tried, over the median depth.
+LIMITS = (0.05, 20.0)
+
+
+@dataclass(frozen=True)
+class Pass:
+    """Of both colours of the chessboard: neighbours (4 or 8) and random changes that each pixel tries; the largest of
+    log depth and of the normal.
+    """
+
+    neighbours: int
+    tries: int
+    depth: float
+    normal: float
+
+
+COARSE = (Pass(8, 4, 0.1, 0.4), Pass(8, 4, 0.05, 0.2))
+FINE = (Pass(4, 3, 0.02, 0.2),)
+
+
+class PlaneField:
+    """A plane for each pixel of view ``k``, the best of those offered and found."""
+
+    def __init__(self, views: PosedPanoramas, k: int, others: list[int], seed: int = 0, spacing: int = SPACING) -> None:
+        T = np.stack([invert_pose(views.T_wc[j]) @ views.T_wc[k] for j in others]).astype(np.float32)
+        self.planes = np.full((*views.depth.shape[1:], 3), np.nan, np.float32)
+        self._cost = np.full(views.depth.shape[1:], np.inf, np.float32)
+        self._rays, self._scale, self._seed = views.scale.rays, views.scale, seed
+        self._view = (
+            views.luma[k], self._rays, padded(views.luma[others], wrap=True),
+            np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3]),
+            max(1, round(VISIBLE * len(others))), window(spacing),
+            np.array([TRUNCATION, 1 / SIGMA, SAVED, SAME], np.float32),
+        )  # fmt: skip
+        self._limits = np.array(LIMITS, np.float32) * np.float32(views.median_depth)
+
+    def offer(self, planes: Float) -> None:
+        """Planes (H, W, 3), NaN for none: those that frames agree better on are taken."""
+        try_planes(np.ascontiguousarray(planes, np.float32), *self._view, self.planes, self._cost)
+
+    def offer_depth(self, depth: Float) -> None:
+        """The same for a depth (H, W), along its surface."""
+        normal = normals_of(depth, self._rays)
+        slope = (normal * self._rays).sum(axis=-1)
+        with np.errstate(divide="ignore"):
+            self.offer(np.where((np.abs(slope) > 0.1)[..., None], normal / (depth * slope)[..., None], np.nan))
+
+    def improve(self, passes: tuple[Pass, ...]) -> None:
+        """Propagate planes and change them."""
+        for one in passes:
+            changes = np.array([one.depth, one.normal], np.float32)
+            for colour in (0, 1):
+                self._seed += 1
+                propagate(
+                    *self._view, self._limits, one.neighbours, one.tries, changes, colour, self._seed,
+                    self.planes.copy(), self.planes, self._cost,
+                )  # fmt: skip
+
+    def smooth(self) -> None:
+        """Move the planes to the depth of their neighbours, where that is known better and nearly the same."""
+        luma, rays, frames, R, t = self._view[:5]
+        depth = self.depth(rays)
+        known = np.isfinite(depth)
+        depth = np.where(known, depth, np.float32(1))
+        information, smooth = np.empty_like(depth), np.empty_like(depth)
+        inner = np.ascontiguousarray(frames[:, 1:-1, 1:-1])
+        depth_information(luma, depth, rays, inner, R, t, self._scale.code, self._scale.cam, information)
+        information = np.where(known, information, 0).astype(np.float32)
+        floor = FLOOR * float(np.median(information[known])) if known.any() else 0.0
+        planar_filter(
+            depth, information, np.nan_to_num(luma), rays, RADIUS, 1, SMOOTH_LUMA, SMOOTH_DEPTH, floor, True, smooth
+        )
+        self.planes *= (depth / smooth)[..., None]
+
+    def depth(self, rays: Float) -> Float:
+        """Radial depth (h, w) along the unit rays (h, w, 3) of a panorama of any size, NaN where there is no plane."""
+        planes = cv2.resize(self.planes, rays.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        with np.errstate(divide="ignore"):
+            depth = 1 / (planes * rays).sum(axis=-1)
+        return np.where(np.isfinite(depth) & (depth > 0), depth, np.nan).astype(np.float32)
+
+
+def matched_depth(
+    views: PosedPanoramas, coarse: PosedPanoramas | None, k: int, start: Float, rays: Float, seed: int = 0
+) -> Float:
+    """Radial depth (h, w) of view ``k`` along the unit rays (h, w, 3) of a panorama, NaN where no frame says anything.
+
+    coarse: the views at half the size, if they have one. start (h, w): a depth to begin with beside that of ``views``,
+    NaN where unknown; without parallax, it is the answer.
+    """
+    others = far_others(views, k)
+    if not others:
+        return start
+    resized = np.asarray(cv2.resize(start, views.depth.shape[:0:-1], interpolation=cv2.INTER_NEAREST), np.float32)
+    first: Float = np.where(np.isfinite(resized), resized, views.depth[k])
+    field = PlaneField(views, k, others, seed)
+    if coarse is not None:
+        small = PlaneField(coarse, k, others, seed)
+        for depth in (coarse.depth[k], first[::2, ::2]):
+            small.offer(coarse.scale.rays / depth[..., None])
+            small.offer_depth(depth)
+        small.improve(COARSE)
+        field.offer(small.planes.repeat(2, axis=0).repeat(2, axis=1))
+    else:
+        field.offer(views.scale.rays / first[..., None])
+    field.offer_depth(first)
+    field.improve(FINE if coarse is not None else (*COARSE, *FINE))
+    field.smooth()
+    return field.depth(rays)
+
+
+def far_others(views: PosedPanoramas, k: int) -> list[int]:
+    """Views to compare view ``k`` with: far apart if there are enough, else as the sweep takes them."""
+    found = views.others(k, OTHERS, NEAREST, FARTHEST)
+    return found if len(found) >= 3 else views.others(k, OTHERS)
