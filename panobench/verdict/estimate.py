@@ -68,7 +68,8 @@ def joined_maps(estimate: Estimate) -> Evidence | None:
         return None
     return Evidence(
         "joined maps", BY_LOOKS,
-        f"after a cut the path goes on where the place looked the same ({joined} times), and places may look alike",
+        f"after {'a cut' if joined == 1 else f'{joined} cuts'} the path goes on where the place looked the same, "
+        "and places may look alike",
         "run the parts before and after the cut apart",
     )  # fmt: skip
 

@@ -75,7 +75,7 @@ def join(ours: PanogsMethod, theirs: PanogsMethod, motion: Sim3) -> None:
     ours.late_rates.forget()
     ours.shutter.forget()
     ours.phase = theirs.phase
-    for index, numbers_of_frame in theirs.numbers.items():
-        ours.numbers[index] = numbers_of_frame
+    for index, row in theirs.numbers.items():
+        ours.numbers[index] = row | ({"height": motion.scale * row["height"]} if "height" in row else {})
     for index in theirs.moving:
         ours.moving.put(index, theirs.moving[index])

@@ -80,7 +80,9 @@ def test_two_maps_of_one_room_become_one_that_goes_on() -> None:
         AtlasOptions(residual=0.12, moved=0.05),
     )
     assert motion is not None
+    height = newer.numbers[25]["height"]
     join(older, newer, motion)
+    assert older.numbers[25]["height"] == pytest.approx(motion.scale * height)
     for i in range(32, 40):
         assert older.track(Frame(i, i / 10, sequence.image(i))) is not None
     estimate = older.finish()
