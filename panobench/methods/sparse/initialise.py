@@ -41,12 +41,16 @@ class InitialFrame:
 
 @dataclass
 class Initialiser:
-    """Tracks corners of one reference frame. ``add`` returns a map as soon as two views give one."""
+    """Tracks corners of one reference frame. ``add`` returns a map as soon as two views give one.
+
+    exact: as of ``align_level``.
+    """
 
     face_set: FaceSet
     config: SparseConfig
     rng: np.random.Generator
     pool: Executor | None = None
+    exact: bool = False
     history: list[InitialFrame] = field(default_factory=list)
 
     def reset(self) -> None:
@@ -122,6 +126,7 @@ class Initialiser:
                 bearings,
                 ok,
                 LIMITS[min(len(pyramid) - 1 - level, len(LIMITS) - 1)] * (1.5 if level else 1.0),
+                self.exact,
             )
             if self.face_set.lenses.several:  # measured in the picture of a lens that it left
                 ok &= self.face_set.lenses.of(bearings) == lens

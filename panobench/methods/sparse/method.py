@@ -76,8 +76,10 @@ class SparseMethod(OnlineMethod):
         self.finder = RotationFinder(self.face_set, self.levels)
         self.rng = np.random.default_rng(context.seed)
         self.pool = ThreadPoolExecutor(2)
-        self.initialiser = Initialiser(self.face_set, self.config, self.rng, self.pool)
         self.inertial = InertialStage(context.imu, context.log, context.warn, self._pose_of)
+        # Metres are told by small motions: of the lenses about each other, and of strides.
+        self.exact = self.rig_faces is not None or self.inertial.enabled
+        self.initialiser = Initialiser(self.face_set, self.config, self.rng, self.pool, self.exact)
         self.session: Session | None = None
         self.previous: list[Session] = []
         self.numbers: dict[int, dict[str, float]] = {}
@@ -145,7 +147,7 @@ class SparseMethod(OnlineMethod):
     # -- with a map --------------------------------------------------------------------------------------------
 
     def _aligner(self, session: Session) -> Aligner:
-        return Aligner(self.face_set, self.config, session.map, self.pool)
+        return Aligner(self.face_set, self.config, session.map, self.pool, self.exact)
 
     def _track(self, session: Session, pyramid: Pyramid, frame: Frame) -> Array | None:
         aligner = self._aligner(session)

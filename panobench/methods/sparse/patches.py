@@ -130,6 +130,44 @@ def _shift(image, template, gx, gy, inv, offset, u, v, limit):  # type: ignore[n
     return u, v, True
 
 
+@njit(cache=True)
+def _through_plane(R, t, rho, R_f, K, u, v, step, pixel, m, M, H):  # type: ignore[no-untyped-def]
+    """Write the homography H (3, 3) from a face's pixels about (u, v) to a template's about its middle.
+
+    It leads through the plane on which the template lies. R, t, rho: the motion from the anchor, and the inverse
+    distance there. step: side of a template's pixel, radians. pixel: side of a face's, at distance 1. m (3,): the
+    template's bearing. M (3, 3): scratch.
+    """
+    ax, ay, az, cx, cy, cz = tangent_basis(m[0], m[1], m[2])
+    for r in range(3):  # its columns: the plane's two directions and its point, in the face's axes
+        M[r, 0] = M[r, 1] = M[r, 2] = 0.0
+        for k in range(3):
+            M[r, 0] += R_f[r, k] * step * (R[k, 0] * ax + R[k, 1] * ay + R[k, 2] * az)
+            M[r, 1] += R_f[r, k] * step * (R[k, 0] * cx + R[k, 1] * cy + R[k, 2] * cz)
+            M[r, 2] += R_f[r, k] * (R[k, 0] * m[0] + R[k, 1] * m[1] + R[k, 2] * m[2] + rho * t[k])
+    x, y = (u - K[2]) / K[0], (v - K[3]) / K[1]
+    for r in range(3):  # the adjugate of M is its inverse but for a factor
+        i, j = (r + 1) % 3, (r + 2) % 3
+        e0 = M[1, i] * M[2, j] - M[2, i] * M[1, j]
+        e1 = M[2, i] * M[0, j] - M[0, i] * M[2, j]
+        e2 = M[0, i] * M[1, j] - M[1, i] * M[0, j]
+        H[r, 0], H[r, 1], H[r, 2] = pixel * e0, pixel * e1, e0 * x + e1 * y + e2
+
+
+@njit(cache=True, fastmath=True)
+def _window_through(stored, H, template, gx, gy, inv, big):  # type: ignore[no-untyped-def]
+    """As ``_window``, warped by the homography H (3, 3) of ``_through_plane``."""
+    for i in range(WINDOW + 2):
+        dv = i - _HALF - 0.5
+        for j in range(WINDOW + 2):
+            du = j - _HALF - 0.5
+            w = 1.0 / (H[2, 0] * du + H[2, 1] * dv + H[2, 2])
+            p = w * (H[0, 0] * du + H[0, 1] * dv + H[0, 2])
+            q = w * (H[1, 0] * du + H[1, 1] * dv + H[1, 2])
+            big[i, j] = _bilinear(stored, p + STORED / 2, q + STORED / 2)
+    return _prepare(template, gx, gy, inv, big)
+
+
 @njit(cache=True, fastmath=True)
 def _window(stored, A_inv, template, gx, gy, inv, big):  # type: ignore[no-untyped-def]
     """Write the template as the current face sees it, its gradients and inverse Hessian. False without texture."""
@@ -140,6 +178,12 @@ def _window(stored, A_inv, template, gx, gy, inv, big):  # type: ignore[no-untyp
             p = A_inv[0, 0] * du + A_inv[0, 1] * dv
             q = A_inv[1, 0] * du + A_inv[1, 1] * dv
             big[i, j] = _bilinear(stored, p + STORED / 2, q + STORED / 2)
+    return _prepare(template, gx, gy, inv, big)
+
+
+@njit(cache=True, fastmath=True)
+def _prepare(template, gx, gy, inv, big):  # type: ignore[no-untyped-def]
+    """The window, its gradients and inverse Hessian, from the warped template ``big``, a pixel larger on every side."""
     h00, h01, h11, s0, s1 = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(WINDOW):
         for j in range(WINDOW):
@@ -198,13 +242,14 @@ def _zncc(image, template, u, v):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _align_level(  # type: ignore[no-untyped-def]
-    image, valid, level, R_fc, K, focal, stored, anchors, rho, R_ca, t_ca, which, bearings, ok, score, limit
+    image, valid, level, R_fc, K, focal, stored, anchors, rho, R_ca, t_ca, which, bearings, ok, score, limit, exact
 ):
     scale = 1.0 / (1 << level)
     h, w = image.shape[1], image.shape[2]
     A, A_inv, X, P = np.empty((2, 2)), np.empty((2, 2)), np.empty(3), np.empty((3, 2))
     template, gx, gy = np.empty((WINDOW, WINDOW)), np.empty((WINDOW, WINDOW)), np.empty((WINDOW, WINDOW))
     inv, big = np.empty((3, 3)), np.empty((WINDOW + 2, WINDOW + 2))
+    M, H = np.empty((3, 3)), np.empty((3, 3))
     for n in range(anchors.shape[0]):
         if not ok[n]:
             continue
@@ -238,7 +283,12 @@ def _align_level(  # type: ignore[no-untyped-def]
             continue
         A_inv[0, 0], A_inv[0, 1] = A[1, 1] / det, -A[0, 1] / det
         A_inv[1, 0], A_inv[1, 1] = -A[1, 0] / det, A[0, 0] / det
-        if not _window(stored[n], A_inv, template, gx, gy, inv, big):
+        if exact:
+            pixel = (1 << level) / K[0]
+            _through_plane(R_ca[k], t_ca[k], rho[n], R_fc[f], K, P[0, 0], P[0, 1], step, pixel, anchors[n], M, H)
+            if not _window_through(stored[n], H, template, gx, gy, inv, big):
+                continue
+        elif not _window(stored[n], A_inv, template, gx, gy, inv, big):
             continue
         u, v, good = _shift(image[f], template, gx, gy, inv, 0.0, u * scale, v * scale, limit)
         if not good or u < _HALF or v < _HALF or u > w - _HALF or v > h - _HALF:
@@ -268,14 +318,16 @@ def align_level(
     bearings: NDArray[np.float64],
     ok: NDArray[np.bool_],
     limit: float,
+    exact: bool = False,
 ) -> NDArray[np.float64]:
     """Align N templates on one pyramid level: updates bearings (N, 3) and ok (N,) in place, returns the ZNCC (N,).
 
     image (F, H, W): the level's faces. valid (F, H0, W0): of level 0. stored (N, 16, 16): the level's templates.
     anchors (N, 3): their bearings in the anchor keyframes. rho (N,): inverse distances there. motion (K, 4, 4): from
     each anchor keyframe to the current camera; which (N,) says each point's keyframe. bearings: the prediction on
-    input, the measurement on output. limit: largest shift in this level's pixels. The two halves of the points run
-    in parallel on ``pool``.
+    input, the measurement on output. limit: largest shift in this level's pixels. exact: warp templates by the
+    homography of their planes, not by its linear part, which is off by some hundredths of a pixel away from a face's
+    middle. The two halves of the points run in parallel on ``pool``.
     """
     score = np.zeros(len(anchors))
     R, t = np.ascontiguousarray(motion[:, :3, :3]), np.ascontiguousarray(motion[:, :3, 3])
@@ -285,7 +337,7 @@ def align_level(
     def part(s: slice) -> None:
         per_point: list[Any] = [a[s] for a in (stored, anchors, rho)]
         results: list[Any] = [a[s] for a in (which, bearings, ok, score)]
-        kernel(image, valid, level, R_fc, intrinsics, focal, *per_point, R, t, *results, limit)
+        kernel(image, valid, level, R_fc, intrinsics, focal, *per_point, R, t, *results, limit, exact)
 
     n = len(anchors)
     if pool is None or n < 100:

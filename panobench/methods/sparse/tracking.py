@@ -47,12 +47,13 @@ def predict(T_cw: Array, positions: Array, lenses: Lenses) -> Array:
 
 @dataclass
 class Aligner:
-    """Aligns the templates of map points to a frame's faces."""
+    """Aligns the templates of map points to a frame's faces. exact: as of ``align_level``."""
 
     face_set: FaceSet
     config: SparseConfig
     map: PointMap
     pool: Executor | None = None
+    exact: bool = False
 
     def run(
         self,
@@ -81,6 +82,7 @@ class Aligner:
             bearings,
             ok,
             LIMITS[min(len(pyramid) - 1 - level, len(LIMITS) - 1)],
+            self.exact,
         )
         if before is not None:  # measured in the picture of a lens that it left
             ok &= lenses.of(bearings) == before
