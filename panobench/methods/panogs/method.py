@@ -256,8 +256,8 @@ class PanogsMethod(OnlineMethod):
         view = View(first.index, first.image, np.eye(4), visible=first.mask)
         self.exposure.start(first.image)
         self.shutter.record(first.time, view.T_wc)
-        depth = self.first_depth
-        self.mapper.initialise(view, first.time, depth.depth, well_seen(self.tracker.camera, depth, start.frames))
+        seen = well_seen(self.tracker.camera, self.first_depth, start.frames)
+        self.mapper.initialise(view, first.time, self.first_depth.depth, seen)
         levels = self.tracker.frame_pyramid(view.image, first.mask)
         self.graph.add(first.index, levels[self.lag.buffer.fine_scale.level])
         self.places.add(self.places.thumbnail(levels[-1]))
@@ -314,10 +314,8 @@ class PanogsMethod(OnlineMethod):
             "moving": self.mapper.transients.active,
             "readout_ms": round(1e3 * self.shutter.readout_s, 2),
         }
-        if self.inertial.enabled:
-            extra["inertial"] = self.inertial.numbers
-        if self.rig:
-            extra |= self.rig.numbers
+        extra |= {"inertial": self.inertial.numbers} if self.inertial.enabled else {}
+        extra |= self.rig.numbers if self.rig else {}
         return Estimate(
             Trajectory(times, poses),
             keyframes=sorted(v.index for v in self.trajectory.keyframes if v.index >= 0),
