@@ -2,8 +2,8 @@
 
 What carries the camera hides another part of the scene in every frame. A direction of the first frame that it soon
 covers is found in few of the others, all of them near, and nearly any depth suits those: of what less than half of the
-frames saw, a half to nine tenths was wrong in simulated recordings. The same holds where it was covered at times and
-the sweep is unsure. Such directions get no Gaussians; later frames see what is there.
+frames saw, a half to nine tenths was wrong in simulated recordings. Such directions get no Gaussians; later frames see
+what is there.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ from panobench.types import DepthEstimate, Frame
 
 #: Share of the frames that must see a direction.
 SEEN_MIN = 0.5
-#: Confidence that its depth needs unless all frames see it.
-CONFIDENCE_MIN = 0.2
 #: Fewest frames besides the first that can tell.
 FEWEST = 2
 
@@ -46,7 +44,6 @@ def well_seen(camera: Camera, estimate: DepthEstimate, frames: Sequence[Frame]) 
         x, y = np.clip(x, 0, camera.width - 1), np.clip(y, 0, camera.height - 1)
         visible = valid if frame.mask is None else valid & frame.mask
         count += inside & visible[y, x]
-    share = np.zeros(valid.shape)
-    share[known] = count / len(others)
-    sure = np.ones_like(valid) if estimate.confidence is None else estimate.confidence >= CONFIDENCE_MIN
-    return np.asarray((share >= SEEN_MIN) & (sure | (share >= 1)))
+    seen = np.zeros_like(valid)
+    seen[known] = count >= SEEN_MIN * len(others)
+    return seen

@@ -21,12 +21,12 @@ OPERATOR = COLUMN < 16  # a quarter of the view, all the way down
 IMAGE = np.zeros((32, 64, 3), np.uint8)
 
 
-def turning(confidence: float = 1.0, count: int = 9) -> DepthEstimate:
+def turning(count: int = 9) -> DepthEstimate:
     """The camera turns by 5 columns a frame and stays where it is, so that columns leave to the left."""
     T_wc = {k: np.eye(4) for k in range(count)}
     for k, T in T_wc.items():
         T[:3, :3] = so3_exp(np.array([0.0, k * 5 * 2 * np.pi / 64, 0.0]))
-    return DepthEstimate(np.full((32, 64), 2.0, np.float32), 0, np.full((32, 64), confidence, np.float32), T_wc)
+    return DepthEstimate(np.full((32, 64), 2.0, np.float32), 0, None, T_wc)
 
 
 def frames(count: int = 9, mask: np.ndarray | None = None) -> list[Frame]:
@@ -45,7 +45,6 @@ def test_what_the_operator_soon_covers_is_left_out() -> None:
     # Column x is where the operator is from frame (x - 15) / 5 to x / 5, three or four frames.
     assert columns(camera, turning(), frames()) == set()  # nothing is covered in more than three of eight
     assert columns(camera, turning(count=5), frames(5)) == set(range(16, 26))  # others in two of four at most
-    assert columns(camera, turning(0.1), frames()) == set(range(16, 56))  # all that is ever covered, if unsure
 
 
 def test_masks_of_single_frames_count() -> None:
@@ -58,10 +57,10 @@ def test_masks_of_single_frames_count() -> None:
 
 def test_nothing_is_left_out_where_nothing_is_hidden_or_nothing_can_tell() -> None:
     camera = PANORAMA.with_mask(~OPERATOR)
-    assert well_seen(PANORAMA, turning(0.0), frames()) is None
+    assert well_seen(PANORAMA, turning(), frames()) is None
     assert well_seen(camera, DepthEstimate(np.full((32, 64), 2.0, np.float32)), frames()) is None
     narrow = PinholeCamera(64, 32, 40.0, 40.0, 32.0, 16.0).with_mask(COLUMN > 8)
-    assert well_seen(narrow, turning(0.0), frames()) is None
+    assert well_seen(narrow, turning(), frames()) is None
 
 
 def test_the_first_map_has_no_gaussians_there() -> None:
