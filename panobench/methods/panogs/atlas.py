@@ -16,81 +16,17 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.depth.bootstrap import BootstrapDepth
-from panobench.geometry import Sim3
 from panobench.maps.saved import SavedMap
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.cuts import CutDetector
 from panobench.methods.panogs.exposure import is_blank
-from panobench.methods.panogs.joining import join, similarity
-from panobench.methods.panogs.localise import Localiser
+from panobench.methods.panogs.joining import join
+from panobench.methods.panogs.lookout import DEPTHS, STEPS, Lookout
 from panobench.methods.panogs.method import PanogsMethod, Phase
 from panobench.types import Estimate, Frame
 
 Pose = NDArray[np.float64]
-
-
-#: A map that follows another begins this near to where that was left: steps at the usual speed, median depths, and
-#: the share of its own way by which it may have drifted until the two meet.
-STEPS, DEPTHS, DRIFT = 1.5, 0.25, 0.02
-
-
-class Lookout:
-    """Looks for the camera in a map that it has left.
-
-    cut: the recording does not go on where it was left. poses (4, 4) by frame index: where the camera was found in a
-    row.
-    """
-
-    def __init__(self, left: PanogsMethod, config: PanogsConfig, cut: bool) -> None:
-        self.map, self.cut, o = left, cut, config.atlas
-        few = (o.common_after_cut, o.moved_after_cut) if cut else (o.common, o.moved)
-        self.options = replace(o, common=few[0], moved=few[1])
-        keyframes, renderer = left.trajectory.keyframes, left.tracker.renderer
-        self.localiser = Localiser(renderer, config, keyframes, left.places, config.relocalisation.patience)
-        self.last = max(left.trajectory)
-        self.poses: dict[int, Pose] = {}
-
-    def look(self, frame: Frame) -> None:
-        found = self.localiser.look(frame, self.map.mapper.map.gaussians)
-        if found is None or self.localiser.relocaliser.agreed < self.options.agree:
-            self.poses.clear()
-        else:
-            self.poses[frame.index] = found.T_wc
-
-    @property
-    def sure(self) -> bool:
-        """Whether the camera is there, and may have come there since the map was left."""
-        if len(self.poses) < self.options.common:
-            return False
-        first = min(self.poses)
-        reach, depth = self.map.relocaliser.reach, self.map.mapper.scene_depth
-        before, after = self.map.trajectory[self.last], self.poses[first]
-        return self.cut or reach.allows(before, after, first - self.last, depth)
-
-    def go_back(self) -> PanogsMethod:
-        """The map, which goes on where the camera was found last."""
-        left, tracker = self.map, self.localiser.tracker
-        left.relocaliser.found(self.poses[max(self.poses)], tracker.pyramid[-1])
-        left.tracker.velocity, left.phase = tracker.velocity, Phase.TRACKING
-        return left
-
-    def lies(self, other: PanogsMethod, poses: Mapping[int, Pose]) -> Sim3 | None:
-        """The motion of another map's world into this one's, by the frames with ``poses`` here; None if unknown.
-
-        Unless there was a cut, the other must begin about where this one was left: rooms may look alike.
-        """
-        theirs = {index: other.trajectory[index] for index in poses if index in other.trajectory}
-        depth = self.map.mapper.scene_depth
-        motion = similarity(poses, theirs, depth, self.options)
-        indices = [index for index in sorted(other.trajectory) if index > self.last]
-        if motion is None or self.cut or not indices:
-            return motion
-        way = motion.apply_points([other.trajectory[index][:3, 3] for index in indices])
-        usual = self.map.relocaliser.reach.usual(indices[0] - self.last)
-        length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-        near = STEPS * usual + DEPTHS * depth + DRIFT * length
-        return motion if np.linalg.norm(way[0] - self.map.trajectory[self.last][:3, 3]) <= near else None
 
 
 class AtlasMethod(OnlineMethod):
@@ -112,6 +48,7 @@ class AtlasMethod(OnlineMethod):
         single = context.imu is not None or context.rig is not None or context.saved_map is not None
         self.enabled = self.options.enabled and not single and context.make_depth is not None
         self.lookouts: list[Lookout] = []
+        self.turn = 0  # at a keyframe, one of them looks
         self.beginning: PanogsMethod | None = None
         self.recent: deque[Frame] = deque(maxlen=self.options.overlap)  # frames that were tracked last
         self.last = 0  # the last frame that was tracked
@@ -149,8 +86,10 @@ class AtlasMethod(OnlineMethod):
         self.recent.append(frame)
         self.missed, self.beginning, self.cut = [], None, False
         is_keyframe = self.newest.numbers[frame.index].get("keyframe", 0.0) > 0
-        for lookout in list(self.lookouts):
-            if is_keyframe or lookout.poses:
+        self.turn += is_keyframe
+        lookouts = list(self.lookouts)
+        for n, lookout in enumerate(lookouts):
+            if lookout.poses or (is_keyframe and n == self.turn % len(lookouts)):
                 lookout.look(frame)
                 self._join(lookout, lookout.poses)
 
@@ -163,6 +102,7 @@ class AtlasMethod(OnlineMethod):
         for lookout in self.lookouts:
             lookout.look(frame)
             if lookout.sure:
+                self.joined_by_looks += lookout.cut
                 self._go_over(lookout.go_back())
                 return
         if self.beginning is not None:

@@ -33,6 +33,7 @@ def test_after_a_cut_into_another_room_there_is_another_map_until_the_camera_is_
     method, estimate, said = shown(images, atlas__common_after_cut=6, atlas__moved_after_cut=0.1)
     assert len(method.maps) == estimate.extra["maps"] == 2
     assert estimate.extra["joined"] == 0
+    assert estimate.extra["joined_by_looks"] == 1
     frames = np.round(10 * estimate.trajectory.times).astype(int)
     assert set(range(30)) <= set(frames)
     assert not any(30 <= i < 54 for i in frames)
