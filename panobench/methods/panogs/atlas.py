@@ -27,6 +27,8 @@ from panobench.methods.panogs.method import PanogsMethod, Phase
 from panobench.types import Estimate, Frame
 
 Pose = NDArray[np.float64]
+#: Attempts at another map wait up to two to this power times as long as the first.
+LONGEST = 3
 
 
 class AtlasMethod(OnlineMethod):
@@ -52,7 +54,9 @@ class AtlasMethod(OnlineMethod):
         self.beginning: PanogsMethod | None = None
         self.recent: deque[Frame] = deque(maxlen=self.options.overlap)  # frames that were tracked last
         self.last = 0  # the last frame that was tracked
-        self.missed: list[Frame] = []  # frames since that were not
+        self.missed: deque[Frame] = deque(maxlen=self.options.lost)  # the last frames that were not
+        self.lost_for = 0  # frames since the last one that was tracked, or since the last attempt at another map
+        self.failed = 0  # attempts at another map since
         self.cuts = CutDetector(camera, self.options.alike)
         self.cut = False  # between the last frame that was tracked and the first one that was not
         self.joined = self.joined_by_looks = 0
@@ -84,7 +88,7 @@ class AtlasMethod(OnlineMethod):
             self.joined_by_looks += 1
         self.last = frame.index
         self.recent.append(frame)
-        self.missed, self.beginning, self.cut = [], None, False
+        self._forget_loss()
         is_keyframe = self.newest.numbers[frame.index].get("keyframe", 0.0) > 0
         self.turn += is_keyframe
         lookouts = list(self.lookouts)
@@ -96,6 +100,7 @@ class AtlasMethod(OnlineMethod):
     def _missed(self, frame: Frame, is_cut: bool) -> None:
         """The newest map has lost the frame: look in older ones, or begin another one and go over to it."""
         self.missed.append(frame)
+        self.lost_for += 1
         if is_cut and frame.index == self.last + 1:  # what was seen before shows another place
             self.cut = True
             self.recent.clear()
@@ -107,7 +112,7 @@ class AtlasMethod(OnlineMethod):
                 return
         if self.beginning is not None:
             self.beginning.track(frame)
-        elif len(self.missed) >= self.options.lost:
+        elif self.lost_for >= self.options.lost * self._waits:
             self.beginning = self._new_map(replace(self.context, make_depth=BootstrapDepth, warn=self.context.log))
             for earlier in [*self.recent, *self.missed]:
                 self.beginning.track(earlier)
@@ -115,17 +120,27 @@ class AtlasMethod(OnlineMethod):
             return
         new = self.beginning
         if new.phase is Phase.WAITING:
-            if self.recent and len(self.missed) > self.options.patience:
+            if self.recent and self.lost_for > self.options.patience:
                 self._give_up()
         elif frame.index not in new.trajectory or new.first_depth is None or not new.first_depth.ok:
             self._give_up()
         else:
             self._go_over(new)
 
+    def _forget_loss(self) -> None:
+        self.beginning, self.cut, self.failed, self.lost_for = None, False, 0, 0
+        self.missed.clear()
+
+    @property
+    def _waits(self) -> int:
+        """How much longer the next attempt waits: each costs about a second, and one that failed may fail again."""
+        return int(2 ** min(max(self.failed - 1, 0), LONGEST))
+
     def _give_up(self) -> None:
         """What began is no map of where the camera is now: try again, without what was seen before the loss."""
-        self.beginning = None
-        self.missed = []
+        self.failed += 1
+        self.beginning, self.lost_for = None, 0
+        self.missed.clear()
         self.recent.clear()
 
     def _is_far(self, last: int, index: int) -> bool:
@@ -142,7 +157,7 @@ class AtlasMethod(OnlineMethod):
         )
         self.maps = [one for one in self.maps if one is not new] + [new]
         self.lookouts = [one for one in self.lookouts if one.map is not new] + [left]
-        self.beginning, self.missed, self.cut = None, [], False
+        self._forget_loss()
         self.recent.clear()
         known = left.map.trajectory
         self._join(left, {index: known[index] for index in known if index in new.trajectory})
