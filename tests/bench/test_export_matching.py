@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from panoramas_of_a_box import BOX, cast, points, posed_views, with_bulges
+from panoramas_of_a_box import BOX, cast, points
 
 from panobench.bench.export import patchmatch
 from panobench.bench.export.confirmation import confirmed
@@ -21,16 +21,6 @@ from panobench.photometric.stereo import WorkingScale
 from panobench.photometric.sweep import padded
 
 Array = NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def truth() -> PosedPanoramas:
-    return posed_views()
-
-
-@pytest.fixture(scope="module")
-def bulging(truth: PosedPanoramas) -> PosedPanoramas:
-    return with_bulges(truth)
 
 
 def bilinear(image: Array, u: Array, v: Array) -> Array:

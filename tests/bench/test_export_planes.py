@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
-from panoramas_of_a_box import BOX, cast, points, posed_views, with_bulges
+from panoramas_of_a_box import BOX, cast, points
 
 from panobench.bench.export.plane_alignment import align
 from panobench.bench.export.plane_depth import corrected_depths
@@ -17,16 +16,6 @@ from panobench.cameras.erp import ErpCamera
 from panobench.photometric.stereo import WorkingScale
 
 Array = NDArray[np.float64]
-
-
-@pytest.fixture(scope="module")
-def truth() -> PosedPanoramas:
-    return posed_views()
-
-
-@pytest.fixture(scope="module")
-def bulging(truth: PosedPanoramas) -> PosedPanoramas:
-    return with_bulges(truth)
 
 
 def offset(plane: Plane) -> float:

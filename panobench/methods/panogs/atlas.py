@@ -20,9 +20,8 @@ from panobench.maps.saved import SavedMap
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.cuts import CutDetector
-from panobench.methods.panogs.exposure import is_blank
 from panobench.methods.panogs.joining import join
-from panobench.methods.panogs.lookout import DEPTHS, STEPS, Lookout
+from panobench.methods.panogs.lookout import Lookout, nearby
 from panobench.methods.panogs.method import PanogsMethod, Phase
 from panobench.types import Estimate, Frame
 
@@ -74,7 +73,7 @@ class AtlasMethod(OnlineMethod):
 
     def track(self, frame: Frame) -> Pose | None:
         self.newest.track(frame)
-        if self.enabled and not is_blank(frame.image, self.newest.tracker.valid):
+        if self.enabled and "blank" not in self.newest.numbers.get(frame.index, {}):
             is_cut = self.cuts.look(frame)
             if frame.index in self.newest.trajectory:
                 self._found(frame, is_cut)
@@ -104,28 +103,37 @@ class AtlasMethod(OnlineMethod):
         if is_cut and frame.index == self.last + 1:  # what was seen before shows another place
             self.cut = True
             self.recent.clear()
+        if not self._is_back(frame):
+            self._begin(frame)
+
+    def _is_back(self, frame: Frame) -> bool:
+        """Whether the camera is in a map that it had left, which then goes on."""
         for lookout in self.lookouts:
             lookout.look(frame)
             if lookout.sure:
                 self.joined_by_looks += lookout.cut
                 self._go_over(lookout.go_back())
-                return
+                return True
+        return False
+
+    def _begin(self, frame: Frame) -> None:
+        """Begin another map once the camera has been lost for a while, and go over to it if it has the frame."""
         if self.beginning is not None:
             self.beginning.track(frame)
         elif self.lost_for >= self.options.lost * self._waits:
             self.beginning = self._new_map(replace(self.context, make_depth=BootstrapDepth, warn=self.context.log))
             for earlier in [*self.recent, *self.missed]:
                 self.beginning.track(earlier)
-        if self.beginning is None:
-            return
         new = self.beginning
+        if new is None:
+            return
         if new.phase is Phase.WAITING:
             if self.recent and self.lost_for > self.options.patience:
                 self._give_up()
-        elif frame.index not in new.trajectory or new.first_depth is None or not new.first_depth.ok:
-            self._give_up()
-        else:
+        elif frame.index in new.trajectory and new.first_depth is not None and new.first_depth.ok:
             self._go_over(new)
+        else:
+            self._give_up()
 
     def _forget_loss(self) -> None:
         self.beginning, self.cut, self.failed, self.lost_for = None, False, 0, 0
@@ -145,9 +153,8 @@ class AtlasMethod(OnlineMethod):
 
     def _is_far(self, last: int, index: int) -> bool:
         """Whether the newest map found a frame elsewhere than about where it had lost the camera."""
-        m = self.newest
-        way = np.linalg.norm(m.trajectory[index][:3, 3] - m.trajectory[last][:3, 3])
-        return bool(way > STEPS * m.relocaliser.reach.usual(index - last) + DEPTHS * m.mapper.scene_depth)
+        poses = self.newest.trajectory
+        return bool(np.linalg.norm(poses[index][:3, 3] - poses[last][:3, 3]) > nearby(self.newest, index - last))
 
     def _go_over(self, new: PanogsMethod) -> None:
         """Leave the newest map for one that has begun, or for an older one."""
@@ -179,11 +186,11 @@ class AtlasMethod(OnlineMethod):
 
     def finish(self) -> Estimate:
         """The answer of the map that has most frames; how many maps there are is in ``extra``."""
-        self.beginning = None
-        estimate = self._largest.finish()
+        self.beginning, largest = None, self._largest
+        estimate = largest.finish()
         if self.enabled:
             estimate.extra |= {"maps": len(self.maps), "joined": self.joined, "joined_by_looks": self.joined_by_looks}
-        others = [one for one in self.maps if one is not self._largest]
+        others = [one for one in self.maps if one is not largest]
         if others:
             frames = sum(len(one.trajectory) for one in others)
             self.context.warn(

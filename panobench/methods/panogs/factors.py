@@ -150,12 +150,16 @@ class FactorGraph:
         s, target, reach = self.scale, self.frames[k], self.options.reach
         near = [(n, self.frames[n]) for n in range(max(k - reach, 0), min(k + reach + 1, len(self.frames)))]
         others = [(n, f.index, f.luma) for n, f in near if n != k and f.luma is not None]
-        if self.rig_scale is not None:
-            away = self._away([index for _, index, _ in others], target.index, trajectory, known)
-            others = [o for o, d in zip(others, away) if abs(o[0] - k) <= NEAREST or d <= self.options.rig_reach]
         if target.luma is None or not others:
             return
         T_fr = trajectory.relative(target.index, [index for _, index, _ in others])
+        if self.rig_scale is not None:
+            depth = float(np.median(known[known > 0])) if (known > 0).any() else 1.0
+            close = np.linalg.norm(T_fr[:, :3, 3], axis=1) <= self.options.rig_reach * depth
+            close |= np.array([abs(n - k) <= NEAREST for n, _, _ in others])
+            others, T_fr = [o for o, is_close in zip(others, close) if is_close], T_fr[close]
+            if not others:
+                return
         images = np.stack([luma for _, _, luma in others])
         bundle = refine(target.luma, s.rays, known, images, T_fr, s.code, s.cam, self.bundle_options)
         if bundle.ok:
@@ -164,12 +168,6 @@ class FactorGraph:
             self.changed = True
             if self.rig_scale is not None and bundle.units is not None:
                 self.rig_scale.add(target.index, bundle.units)
-
-    @staticmethod
-    def _away(frames: list[int], target: int, trajectory: AnchoredTrajectory, known: F32) -> NDArray[np.float64]:
-        """(F,): how far frames are from the target, in its median depth; known (h, w): 0 where it is unknown."""
-        depth = float(np.median(known[known > 0])) if (known > 0).any() else 1.0
-        return np.array([np.linalg.norm(trajectory[i][:3, 3] - trajectory[target][:3, 3]) for i in frames]) / depth
 
     def _depth_changed(self, before: F32 | None, after: F32) -> bool:
         """By ``renew_change`` or more, for the median pixel that is known in both."""

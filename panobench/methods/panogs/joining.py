@@ -68,8 +68,7 @@ def join(ours: PanogsMethod, theirs: PanogsMethod, motion: Sim3) -> None:
     ours.places.extend(theirs.places, [n for n, number in enumerate(numbers) if number >= ours.places.count])
     ours.graph.adopt(theirs.graph)
     ours.lag.buffer.clear()
-    newest = next(reversed(list(theirs.trajectory)))
-    ours.relocaliser.found(ours.trajectory[newest], theirs.tracker.pyramid[-1])
+    ours.relocaliser.found(ours.trajectory[max(theirs.trajectory)], theirs.tracker.pyramid[-1])
     ours.tracker.velocity = velocity
     ours.exposure = theirs.exposure
     ours.late_rates.forget()

@@ -19,6 +19,13 @@ Pose = NDArray[np.float64]
 #: A map that follows another begins this near to where that was left: steps at the usual speed, median depths, and
 #: the share of its own way by which it may have drifted until the two meet.
 STEPS, DEPTHS, DRIFT = 1.5, 0.25, 0.02
+#: Frames that are compared, at most: each try costs what its frames cost.
+MOST = 120
+
+
+def nearby(left: PanogsMethod, frames: int) -> float:
+    """How far the camera is, at most, from where a map lost it so many frames ago, if there was no cut."""
+    return STEPS * left.relocaliser.reach.usual(frames) + DEPTHS * left.mapper.scene_depth
 
 
 class Lookout:
@@ -43,6 +50,8 @@ class Lookout:
             self.poses.clear()
         else:
             self.poses[frame.index] = found.T_wc
+            if len(self.poses) > MOST:
+                del self.poses[min(self.poses)]
 
     @property
     def sure(self) -> bool:
@@ -67,13 +76,11 @@ class Lookout:
         Unless there was a cut, the other must begin about where this one was left: rooms may look alike.
         """
         theirs = {index: other.trajectory[index] for index in poses if index in other.trajectory}
-        depth = self.map.mapper.scene_depth
-        motion = similarity(poses, theirs, depth, self.options)
+        motion = similarity(poses, theirs, self.map.mapper.scene_depth, self.options)
         indices = [index for index in sorted(other.trajectory) if index > self.last]
         if motion is None or self.cut or not indices:
             return motion
         way = motion.apply_points([other.trajectory[index][:3, 3] for index in indices])
-        usual = self.map.relocaliser.reach.usual(indices[0] - self.last)
         length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-        near = STEPS * usual + DEPTHS * depth + DRIFT * length
+        near = nearby(self.map, indices[0] - self.last) + DRIFT * length
         return motion if np.linalg.norm(way[0] - self.map.trajectory[self.last][:3, 3]) <= near else None

@@ -80,7 +80,7 @@ class Mapper:
         numbers: those that its keyframes have in this trajectory.
         """
         self.map.append(other.map.gaussians.transformed(motion), np.array(numbers, np.int32)[other.map.anchors])
-        self.optimiser.window = other.window
+        self._set_window(other.window)
         for view in self.window:
             view.seen = self._seen(self.renderer.forward(self.map.gaussians, view.T_wc, count_touched=True))
 
@@ -134,11 +134,14 @@ class Mapper:
 
     def add_keyframe(self, view: View, window: list[View], time: float | None = None) -> None:
         """``window`` is the new one; keyframes that leave it are kept like other frames."""
+        self._set_window(window)
+        self.trajectory.add_keyframe(view, time)
+
+    def _set_window(self, window: list[View]) -> None:
         for old in self.window:
             if old not in window:
                 old.seen = None
                 self.remember(old)
-        self.trajectory.add_keyframe(view, time)
         self.optimiser.window = window
 
     def remember(self, view: View) -> None:

@@ -83,6 +83,8 @@ def test_two_maps_of_one_room_become_one_that_goes_on() -> None:
     height = newer.numbers[25]["height"]
     join(older, newer, motion)
     assert older.numbers[25]["height"] == pytest.approx(motion.scale * height)
+    trained = [id(view) for view in (*older.trajectory.frames, *older.mapper.window)]
+    assert {id(view) for view in older.trajectory.keyframes} <= set(trained)
     for i in range(32, 40):
         assert older.track(Frame(i, i / 10, sequence.image(i))) is not None
     estimate = older.finish()
