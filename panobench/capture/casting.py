@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from panobench.capture.solids import CHECK, CLOTH, HAIR, PAINT, SKIN, STRIPES, Solids
+from panobench.kernels.jit import njit
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

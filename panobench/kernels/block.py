@@ -10,10 +10,9 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
 
 from panobench.kernels.columns import PARAMETER, FootprintColumns, MomentColumns, ParameterColumns
-from panobench.kernels.jit import INLINE
+from panobench.kernels.jit import INLINE, njit
 
 #: Gaussians in a block.
 BLOCK = 64

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from panobench.kernels.jit import INLINE
+from panobench.kernels.jit import INLINE, njit
 
 _LOG2E, _LN2 = np.float32(1.4426950408889634), np.float32(0.6931471805599453)
 _HALF, _ONE = np.float32(0.5), np.float32(1.0)

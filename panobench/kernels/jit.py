@@ -1,4 +1,7 @@
-"""One set of Numba options for all kernels."""
+"""Numba's decorator and one set of options for all kernels.
+
+Kernels take ``njit`` from here, and not from Numba, so that one that is in the cache is not loaded once it is stale.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,16 @@ import os
 from typing import Any
 
 import numba
+from numba import njit, prange
+
+from panobench.kernels.stamp import stamp_by_imports
 
 # Prefer OpenMP even where a machine happens to have TBB, whose workers also spin for a while after each kernel.
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
     numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
+
+stamp_by_imports()
+__all__ = ["INLINE", "INLINE_FINITE", "JIT", "JIT_FINITE", "PARALLEL", "njit", "prange"]
 
 #: Kernels are cached on disk after the first compilation. Reassociation lets loops vectorise. NaN and infinity keep
 #: their meaning, because maps and images from strangers contain them.

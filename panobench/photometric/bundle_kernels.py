@@ -6,10 +6,9 @@ Pixels are processed in blocks, and each loop over a block does a single thing, 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
 from panobench.kernels.columns import CAM
-from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL, njit, prange
 from panobench.photometric.lens_centres import jacobians_from_lenses
 from panobench.photometric.normal_equations import add_rotation_rows, add_translation_rows
 from panobench.photometric.warp import PER_TURN, project, sample_run

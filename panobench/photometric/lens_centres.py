@@ -8,12 +8,11 @@ of a rig are (2 + L, 6): the same, then the units of the map in a metre, then fo
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from panobench.cameras.rig_panorama import LensCentres
 from panobench.kernels.fast_math import atan2_fast
-from panobench.kernels.jit import INLINE, INLINE_FINITE, JIT_FINITE
+from panobench.kernels.jit import INLINE, INLINE_FINITE, JIT_FINITE, njit
 
 #: Rows of a rig's parameters, and the first column of a lens's centre.
 UNITS, FIRST, CENTRE = 1, 2, 3

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import get_num_threads
 from numpy.typing import NDArray
 
-from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL, njit, prange
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import ReferenceLevel
 from panobench.photometric.warp import project, sample_run

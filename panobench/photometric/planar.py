@@ -8,9 +8,8 @@ determined and by similarity of luma and of depth: a bilateral filter that fits 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
-from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL, njit, prange
 from panobench.photometric.lens_centres import moved_origin
 from panobench.photometric.warp import sample, to_pixel
 

@@ -7,10 +7,9 @@ image. Invalid pixels are NaN and stay out of every average.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
-from panobench.kernels.jit import PARALLEL
+from panobench.kernels.jit import PARALLEL, njit, prange
 
 F32 = NDArray[np.float32]
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit, prange
 
 from panobench.cameras.base import Camera
 from panobench.kernels.columns import CAM
-from panobench.kernels.jit import JIT, PARALLEL
+from panobench.kernels.jit import JIT, PARALLEL, njit, prange
 from panobench.photometric.lens_centres import origin_of, panorama_of
 from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pyramid import F32, halve

@@ -8,12 +8,11 @@ semiglobal matching and mutual information" (2008). On panoramas columns wrap.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.kernels.columns import CAM
 from panobench.kernels.fast_math import atan2_fast
-from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL, njit, prange
 from panobench.photometric.lens_centres import moved_origin, shells_from_lenses
 from panobench.photometric.pyramid import F32
 from panobench.photometric.warp import sample, to_pixel

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
@@ -11,7 +10,7 @@ from panobench.cameras.rig_panorama import RigPanorama
 from panobench.errors import UnsupportedError
 from panobench.kernels.columns import CAM
 from panobench.kernels.fast_math import atan2_fast
-from panobench.kernels.jit import INLINE, JIT, JIT_FINITE
+from panobench.kernels.jit import INLINE, JIT, JIT_FINITE, njit
 from panobench.photometric.lens_centres import pixel_from_lenses, project_from_lenses, rig_parameters
 
 ERP, PINHOLE = 0, 1

@@ -11,9 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from panobench.kernels.jit import njit
 from panobench.rooms.mesh import TRIANGLE
 from panobench.rooms.scene import Geometry, Surfaces
 from panobench.rooms.shading import GLOW, node_light

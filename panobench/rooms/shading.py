@@ -13,8 +13,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from panobench.kernels.jit import njit
 from panobench.rooms.trace import trace
 from panobench.rooms.visibility import COARSE_H, COARSE_W, FINE_H, FINE_W, candidates, edge_functions, nearest
 

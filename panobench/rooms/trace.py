@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from panobench.kernels.jit import njit
 from panobench.rooms.mesh import DISC, LEAF, TRIANGLE
 
 LEAF_SIZE = 4  # primitives below which a node is not split

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from panobench.kernels.jit import njit
 from panobench.rooms.mesh import DISC, RECT, TRIANGLE
 
 COARSE_W, COARSE_H = 64, 32  # pixels of a coarse tile; multiples of the fine one's

@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import get_num_threads
 from numpy.typing import NDArray
 
 from panobench.kernels.block import BLOCK, P, channels, load3, load4, load_parameters, store3, store4
 from panobench.kernels.columns import PARAMETERS
 from panobench.kernels.fast_math import exp_fast
-from panobench.kernels.jit import INLINE, JIT, PARALLEL
+from panobench.kernels.jit import INLINE, JIT, PARALLEL, njit, prange
 from panobench.splat.algebra import rotate, rows_of, unrotate
 from panobench.splat.chain import CHAIN_CHANNELS, GRADIENTS, G, gradient_block, load_touched
 from panobench.splat.gaussians import F32, GaussianMap

@@ -7,10 +7,9 @@ Gaussians (``kernels.block``) several at a time.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from panobench.kernels.fast_math import exp_fast
-from panobench.kernels.jit import INLINE
+from panobench.kernels.jit import INLINE, njit
 
 
 @njit(**INLINE)

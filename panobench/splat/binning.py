@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
 from panobench.kernels.columns import CAM
 from panobench.kernels.columns import FOOTPRINT as F
-from panobench.kernels.jit import INLINE, JIT, PARALLEL
+from panobench.kernels.jit import INLINE, JIT, PARALLEL, njit, prange
 from panobench.splat.row_bounds import row_bounds
 from panobench.splat.view import BOUND_CONES, TILE_H, TILE_W
 

@@ -16,12 +16,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit, prange
 
 from panobench.kernels.columns import FOOTPRINT as F
 from panobench.kernels.columns import MOMENT as M
 from panobench.kernels.columns import MOMENTS
-from panobench.kernels.jit import INLINE_FINITE, JIT, JIT_FINITE, PARALLEL
+from panobench.kernels.jit import INLINE_FINITE, JIT, JIT_FINITE, PARALLEL, njit, prange
 from panobench.splat.footprint import ALPHA_MIN, COS_MIN
 from panobench.splat.view import TILE_H, TILE_W
 

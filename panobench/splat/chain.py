@@ -7,12 +7,11 @@ on the sphere dL/d(E dmu / |mu|) = W^T sum g t + W^-1 sum g |t|^2 t - 2 (dL/dS) 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
 from panobench.kernels.block import BLOCK, P, channels, load3, load4, load_parameters, offsets, store3, store4
 from panobench.kernels.columns import CAM, MOMENT, MOMENTS, PARAMETER, PARAMETERS
 from panobench.kernels.fast_math import exp_fast
-from panobench.kernels.jit import INLINE, JIT, PARALLEL
+from panobench.kernels.jit import INLINE, JIT, PARALLEL, njit, prange
 from panobench.splat.algebra import (
     axes_in_camera,
     camera_covariance,

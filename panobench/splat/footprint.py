@@ -7,13 +7,12 @@ latitude and longitude in a panorama, by rows and columns in an undistorted pinh
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from panobench.kernels.block import P, channels, load3, load4, offsets, store3
 from panobench.kernels.columns import CAM, FOOTPRINT, FOOTPRINT_COLUMNS, PARAMETERS
 from panobench.kernels.columns import FOOTPRINT as F
 from panobench.kernels.fast_math import atan2_fast, exp_fast, log_fast
-from panobench.kernels.jit import INLINE, JIT
+from panobench.kernels.jit import INLINE, JIT, njit
 from panobench.splat.algebra import (
     axes_in_camera,
     camera_covariance,

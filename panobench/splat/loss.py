@@ -7,12 +7,11 @@ sphere-consistent weights of the PanoGS-SLAM paper. "uniform" and "gaussian" wei
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import lonlat_from_directions
-from panobench.kernels.jit import PARALLEL
+from panobench.kernels.jit import PARALLEL, njit, prange
 from panobench.kernels.weighting import Weighting, latitude_weight
 from panobench.splat.gaussians import F32
 

@@ -15,12 +15,11 @@ changes by -(I + d d^T) (a, b), and E by -(a, b) m^T. Covariances are whitened: 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 
 from panobench.kernels.block import BLOCK, load_parameters
 from panobench.kernels.columns import CAM
 from panobench.kernels.columns import FOOTPRINT as F
-from panobench.kernels.jit import JIT, PARALLEL
+from panobench.kernels.jit import JIT, PARALLEL, njit, prange
 from panobench.splat.algebra import (
     axes_in_camera,
     camera_covariance,

@@ -12,13 +12,12 @@ pixel, which the bounds allow for. In a pinhole image X and Y are pixel coordina
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from panobench.kernels.block import BLOCK, channels, load3
 from panobench.kernels.columns import CAM
 from panobench.kernels.columns import FOOTPRINT as F
 from panobench.kernels.fast_math import atan2_fast
-from panobench.kernels.jit import INLINE, JIT
+from panobench.kernels.jit import INLINE, JIT, njit
 from panobench.splat.view import BOUND_LATLON
 
 # Offsets in a block's buffer: the footprint; x and z of the directions a and x of its column, which have no y; and the

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.geometry import invert_pose
-from panobench.kernels.jit import PARALLEL
+from panobench.kernels.jit import PARALLEL, njit, prange
 from panobench.photometric.warp import to_pixel
 
 Float = NDArray[np.float32]

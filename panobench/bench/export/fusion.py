@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.geometry import invert_pose
 from panobench.kernels.fast_math import atan2_fast
-from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL, njit, prange
 
 Float = NDArray[np.float32]
 

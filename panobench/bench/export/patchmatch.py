@@ -11,11 +11,10 @@ A plane is a vector a with a . X = 1 for its points X in the camera's frame, so 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from panobench.kernels.fast_math import atan2_fast
-from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL
+from panobench.kernels.jit import JIT, JIT_FINITE, PARALLEL, njit, prange
 
 Float = NDArray[np.float32]
 

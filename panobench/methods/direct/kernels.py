@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from panobench.kernels.jit import njit
 from panobench.methods.sparse.patches import _best_face, _to_face, tangent_basis
 
 #: Offsets of the eight pixels of the pattern.

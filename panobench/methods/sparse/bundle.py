@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise
+from panobench.kernels.jit import njit
 from panobench.methods.sparse.pose import all_errors, apply_increment, origins_of, pose_row, residual
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ import math
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from panobench.kernels.jit import njit
 from panobench.methods.sparse.patches import STORED
 
 #: Comparisons per level; two levels fill 32 bytes.

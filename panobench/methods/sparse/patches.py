@@ -13,8 +13,9 @@ from concurrent.futures import Executor
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from panobench.kernels.jit import njit
 
 #: Side of a stored template in pixels: an 8x8 window fits into it at any rotation and moderate scales.
 STORED = 16

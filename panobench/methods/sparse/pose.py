@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise
+from panobench.kernels.jit import njit
 from panobench.methods.sparse.patches import tangent_basis
 
 Array = NDArray[np.float64]

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, so3_exp
+from panobench.kernels.jit import njit
 from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.patches import _best_face, _bilinear, _to_face
 
