@@ -14,6 +14,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+# Processes that share the machine have a core each.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+
 import panobench  # noqa: F401 - before torch, so that OpenMP's workers do not spin: see panobench.openmp
 
 # CI repeats the same examples, so that a red run is the change's doing; runs at home keep exploring.
