@@ -22,8 +22,11 @@ from panobench.inertial.visual import VisualPoses
 
 Array = NDArray[np.float64]
 
-#: Of which past the calibration is made, and how often it is tried: first, and once it has succeeded, s.
-PAST_S, TRY_EVERY_S, RENEW_EVERY_S = 20.0, 1.0, 5.0
+#: Of which past the calibration is made, s.
+PAST_S = 20.0
+#: How often it is tried: after the first second until it tells the rotations, until it tells scale and gravity, and
+#: once it has, s.
+TRY_AGAIN_S, TRY_EVERY_S, RENEW_EVERY_S = 0.1, 1.0, 5.0
 #: Of which past the velocity at the last frame with a pose is, s.
 VELOCITY_S = 0.6
 #: The camera is expected by the accelerometer for so long without a visual pose, by the gyroscope alone for so long, s.
@@ -57,7 +60,8 @@ class Predictor:
             self._next_try = time + TRY_EVERY_S
         if time >= self._next_try:
             self._calibrate(time)
-            self._next_try = time + (TRY_EVERY_S if self.initial is None else RENEW_EVERY_S)
+            wait = TRY_AGAIN_S if self.rotation is None else TRY_EVERY_S if self.initial is None else RENEW_EVERY_S
+            self._next_try = time + wait
 
     def expect(self, time: float) -> Array | None:
         """T_wc (4, 4) of the next frame in the present map; None if nothing is known about it."""

@@ -29,6 +29,17 @@ def test_nothing_is_expected_before_the_camera_has_confirmed_the_gyroscope() -> 
     assert found.expect(float(recording.times[20])) is None
 
 
+def test_the_gyroscope_is_used_as_soon_as_there_are_enough_frames() -> None:
+    recording = record(walk(3.0), 3.0, rate_hz=200.0)
+    found = predictor(recording, seen(recording))
+    frames = np.searchsorted(recording.times, np.arange(0.0, 1.7, 0.125))
+    for index in frames[:-1]:
+        found.record(int(index), float(recording.times[index]))
+    T = found.expect(float(recording.times[frames[-1]]))
+    assert T is not None
+    assert np.degrees(np.linalg.norm(so3_log(found.pose_of(int(frames[-1]))[:3, :3].T @ T[:3, :3]))) < 0.5
+
+
 @pytest.mark.parametrize("gap_s", [0.1, 0.5, 2.0])
 def test_a_blackout_is_bridged_in_the_maps_unit(gap_s: float) -> None:
     recording = record(walk(22.0, seed=4), 22.0, rate_hz=500.0, offset_s=0.01)

@@ -76,8 +76,8 @@ class PanogsMethod(OnlineMethod):
         c, width = self.config, ViewWidth.of(camera)
         self.camera, self.context, self.phase = camera, context, Phase.WAITING
         self.rig = rig_frames(camera, context, c)
-        self.places = Places(camera)
         camera = self.rig.camera if self.rig else camera
+        self.places = Places(camera, gaps=context.rig is not None or context.imu is not None)
         self.device = None if self.rig else device_for(context.device, camera, self._projection)
         if context.device is not None and self.device is None:
             context.warn("the GPU draws panoramas of one centre on the sphere alone: this run uses the CPU")

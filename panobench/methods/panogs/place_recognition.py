@@ -3,6 +3,9 @@
 On a panorama that sees all the way round, a yaw is a shift of columns. The correlation over all shifts comes from the
 rows' spectra (the convolution theorem), weighted by cos(latitude). Each row's mean is left out, because bright ceilings
 over dark floors are in every room. Other views are compared as they are, without a yaw.
+
+Where a mask leaves gaps in the rows, as that of a rig's lenses does, what is left of them still shows the yaw: gaps get
+their row's mean.
 """
 
 from __future__ import annotations
@@ -36,13 +39,17 @@ class Match:
 
 
 class Places:
-    """Thumbnails by number, in the order they were added: 8 KiB each for a full panorama."""
+    """Thumbnails by number, in the order they were added: 8 KiB each for a full panorama.
 
-    def __init__(self, camera: Camera) -> None:
+    gaps: whether yaws are looked for in a panorama with gaps in its rows, too.
+    """
+
+    def __init__(self, camera: Camera, *, gaps: bool = False) -> None:
         valid = camera.valid_mask()
         self._size = (WIDTH, max(round(WIDTH * camera.height / camera.width), 4))
         seen = cv2.resize(valid.astype(np.float32), self._size, interpolation=cv2.INTER_AREA) > 0.99
-        self.circular = camera.kind == "erp" and bool((valid.all(axis=1) | ~valid.any(axis=1)).all())
+        whole = bool((valid.all(axis=1) | ~valid.any(axis=1)).all())
+        self.circular, self._gaps = camera.kind == "erp" and (whole or gaps), not whole
         weights = cv2.resize(camera.solid_angle().astype(np.float32), self._size, interpolation=cv2.INTER_AREA)
         self._weights = np.where(seen, np.nan_to_num(weights), 0.0)
         self._spectra = np.zeros((0, *self._shape), np.complex64 if self.circular else np.float32)
@@ -61,6 +68,9 @@ class Places:
         small = cv2.resize(np.nan_to_num(luma), self._size, interpolation=cv2.INTER_AREA)
         w = self._weights
         if self.circular:
+            if self._gaps:
+                means = np.sum(small * (w > 0), axis=1) / np.maximum(np.sum(w > 0, axis=1), 1)
+                small -= means[:, None].astype(np.float32)
             spectrum = np.fft.rfft(small * np.sqrt(w), axis=1)
             spectrum[:, 0] = 0.0
             return (spectrum / max(_norm(spectrum), 1e-12)).astype(np.complex64)

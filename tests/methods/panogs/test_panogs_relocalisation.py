@@ -50,6 +50,19 @@ def test_a_place_is_recognised_however_the_camera_has_yawed(yaw: float, latitude
     assert places.find(asked, 1, np.arange(places.count) > 2)[0].number == 3
 
 
+def test_a_yaw_is_found_though_a_mask_leaves_gaps_in_the_rows() -> None:
+    seen = np.ones((WIDTH // 2, WIDTH), bool)
+    seen[:, 30:40] = seen[:, 90:100] = seen[50:, :60] = False
+    camera = erp_camera(WIDTH).with_mask(seen)
+    sequence, places = TinySequence(camera, 30), Places(camera, gaps=True)
+    one, other = (
+        places.thumbnail(luma(sequence, T, camera)) for T in (sequence.pose_at(0.9), yawed(sequence.pose_at(1.0), 0.8))
+    )
+    (likeness, yaw), *_ = places.compare(one, other)
+    assert likeness > 0.7
+    assert abs(yaw - 0.8) < np.deg2rad(3.0)
+
+
 def test_another_room_is_no_place_known() -> None:
     camera = erp_camera(WIDTH)
     here, there, places = TinySequence(camera, 30), TinySequence(camera, 30, seed=99), Places(camera)
