@@ -54,8 +54,13 @@ class Meter:
             self._measure()
 
     def _measure(self) -> None:
-        total = sum(map(resident_bytes, [self._pid, *descendants(self._pid)]))
-        self.peak_rss_bytes = max(self.peak_rss_bytes, total)
+        self.peak_rss_bytes = max(self.peak_rss_bytes, tree_resident_bytes())
+
+
+def tree_resident_bytes() -> int:
+    """Resident memory of this process and all it has started."""
+    pid = os.getpid()
+    return sum(map(resident_bytes, [pid, *descendants(pid)]))
 
 
 def _reset_high_water_mark() -> None:

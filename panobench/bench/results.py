@@ -182,7 +182,10 @@ def write_run(folder: Path, record: RunRecord, setup: RunSetup, tracked: Tracked
 
 
 def frame_rows(setup: RunSetup, tracked: Tracked, holdout: frozenset[int]) -> list[dict[str, Any]]:
-    """One row per frame given: index, time, name, tracked, mappable, keyframe, latency_s, then the method's own."""
+    """One row per frame given: index, time, name, tracked, mappable, keyframe, latency_s, memory_mib.
+
+    The method's own numbers follow.
+    """
     estimate, sequence = tracked.estimate, setup.sequence
     assert estimate is not None
     posed, keyframes = set(frame_indices(estimate, sequence)), set(estimate.keyframes)
@@ -198,6 +201,7 @@ def frame_rows(setup: RunSetup, tracked: Tracked, holdout: frozenset[int]) -> li
                 "mappable": int(i not in holdout),
                 "keyframe": int(i in keyframes),
                 "latency_s": f"{tracked.latency[i]:.6f}" if i < len(tracked.latency) else None,
+                "memory_mib": f"{tracked.memory[i] / 2**20:.1f}" if i < len(tracked.memory) else None,
                 **{k: v for k, v in own.items() if k not in ("index", "time", "name")},
             }
         )

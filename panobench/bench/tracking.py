@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.bench.interrupts import InterruptRequest
+from panobench.bench.memory import tree_resident_bytes
 from panobench.bench.observer import Observer
 from panobench.bench.views import FrameReader, MethodSequence
 from panobench.datasets.base import FrameSequence
@@ -30,6 +31,7 @@ class Tracked:
     """What a method returned. Status OK means that it went through; whether it tracked enough is judged later.
 
     given: frames handed over. latency: seconds per frame given (batch: the whole run divided by the frames).
+    memory: resident bytes of the process tree after each frame (online methods).
     live: poses as ``track`` returned them. warm_up_s, start_s, finish_s: seconds in the methods of these names.
     wall_s: seconds from before ``start`` to after ``finish``, with reading images.
     """
@@ -40,6 +42,7 @@ class Tracked:
     estimate: Estimate | None = None
     given: int = 0
     latency: list[float] = field(default_factory=list)
+    memory: list[int] = field(default_factory=list)
     live: dict[int, Pose] = field(default_factory=dict)
     warm_up_s: float = 0.0
     start_s: float = 0.0
@@ -78,6 +81,7 @@ def track_online(
                 pose = method.track(frame)
                 latency = time.perf_counter() - clock
                 result.latency.append(latency)
+                result.memory.append(tree_resident_bytes())
                 result.given += 1
                 if pose is not None:
                     result.live[index] = check_pose(pose, f"frame {index}: track()")

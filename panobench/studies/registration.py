@@ -29,6 +29,11 @@ STUDIES: tuple[StudySpec, ...] = (
         "panobench.studies.robustness:run",
     ),
     StudySpec(
+        "length",
+        "drift, scale, memory and time per frame of long runs against the path behind the camera",
+        "panobench.studies.length:run",
+    ),
+    StudySpec(
         "verdict",
         "how often the verdict on a run is right: wrong and right runs under an operator, walkers, blur and so on",
         "panobench.studies.verdict:run",

@@ -228,7 +228,7 @@ def test_every_disturbance_of_the_robustness_study_is_one_there_is() -> None:
             robustness.describe(wrong)
 
 
-@pytest.mark.parametrize("name", ["fov", "ablation", "iterations", "basin", "robustness"])
+@pytest.mark.parametrize("name", ["fov", "ablation", "iterations", "basin", "robustness", "length"])
 def test_studies_are_plugins_that_name_their_options(name: str, tmp_path: Path) -> None:
     run = registry().get(StudySpec, name).load()
     with pytest.raises(UnknownNameError, match="widht"):
