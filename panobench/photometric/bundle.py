@@ -25,6 +25,8 @@ _RUNS = 8
 _CONVERGED = 1e-4
 #: Iterations with the nearest frames alone, and before the pixels that fit worst are left out.
 _NEAR_ITERATIONS, _BEFORE_TRIMMING = 6, 2
+#: Share of the frames, over those that see the best seen pixel, that must see one for it to be told how it fits.
+_SEEN_MIN = 0.15
 Pose = NDArray[np.float64]
 
 
@@ -149,6 +151,22 @@ class _Problem:
         sigma = max(1.4826 * float(np.nanmedian(size)), options.sigma_min)
         return replace(self, huber=options.huber * sigma, cut=options.cut * sigma), sigma
 
+    def fair_costs(self, now: _System) -> NDArray[np.float64]:
+        """(n,): how badly each pixel fits, by the frames that see it; infinite where few of them do.
+
+        A pixel that something hides in some frames does not fit worse for that, nor better if the frames that are left
+        are near, in which all pixels fit well: its cost in a frame is compared with the mean of what the frame sees.
+        """
+        seen = np.isfinite(now.size)
+        if seen.all():
+            return now.costs
+        size = np.where(seen, np.minimum(now.size, self.cut), 0.0)
+        costs = np.where(size > self.huber, self.huber * (size - 0.5 * self.huber), 0.5 * size**2)
+        means = costs.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+        often = seen.sum(axis=0)
+        above = np.where(seen, costs - means[:, None], 0.0).sum(axis=0) / np.maximum(often, 1)
+        return np.where(often >= _SEEN_MIN * often.max(), above, np.inf)
+
     def select(self, keep: NDArray[np.bool_]) -> _Problem:
         """The problem of the pixels that ``keep`` (n,) marks."""
         return replace(self, value=self.value[keep], rays=self.rays[keep], start=self.start[keep])
@@ -203,7 +221,8 @@ def refine(
     problem, sigma = found
     if options.trim:
         T, s, now = problem.minimise(T, s, _BEFORE_TRIMMING)
-        keep = now.costs <= np.quantile(now.costs, 1 - options.trim)
+        costs = problem.fair_costs(now)
+        keep = costs <= np.quantile(costs[np.isfinite(costs)], 1 - options.trim)
         problem, s = problem.select(keep), s[keep]
     T, s, now = problem.minimise(T, s, options.iterations)
     scale = _gauge_scale(s - problem.start, now)

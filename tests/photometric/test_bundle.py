@@ -72,6 +72,16 @@ def test_with_right_depths_neither_does_harm(room) -> None:  # type: ignore[no-u
     assert off_mm(both, truth) < 1.1 * off_mm(plain, truth)
 
 
+def test_pixels_hidden_in_some_frames_are_not_taken_for_wrong_ones(room) -> None:  # type: ignore[no-untyped-def]
+    scale, luma, depth, truth = room
+    hidden = [image.copy() for image in luma]
+    for image in hidden[:-1:3]:  # what comes before the camera hides what has the right depth
+        image[:, scale.camera.width // 3 :] = np.nan
+    options = replace(PLAIN, near=8, trim=0.6)
+    bundle = adjusted((scale, hidden, depth, truth), one_side_nearer(depth, 0.8), options)
+    assert off_mm(bundle, truth) < 1.2
+
+
 def test_too_little_to_see_leaves_the_poses(room) -> None:  # type: ignore[no-untyped-def]
     bundle = adjusted(room, np.zeros_like(room[2]), replace(PLAIN, near=8, trim=0.6))
     assert not bundle.ok

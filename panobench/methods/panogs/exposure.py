@@ -8,6 +8,8 @@ gains are left alone, so frames of a camera with fixed exposure stay untouched.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +21,10 @@ from panobench.splat.render import Render
 
 #: Blocks across the image; a block counts if it is known to the map and neither dark nor saturated.
 _BLOCKS = 32
-_KNOWN, _DARK, _SATURATED = 0.9, 0.06, 0.97
+KNOWN, DARK, SATURATED = 0.9, 0.06, 0.97
 #: Fewest blocks that give a gain.
-_ENOUGH = 24
-_RANGE = (0.2, 5.0)
+ENOUGH = 24
+RANGE = (0.2, 5.0)
 #: Standard deviation, in 8-bit levels, below which a frame shows nothing.
 _BLANK_LEVELS = 1.0
 
@@ -45,22 +47,10 @@ class ExposureMatcher:
         self.size = (_BLOCKS, max(round(_BLOCKS * h / w), 1))
         self.weights = cv2.resize(weights, self.size, interpolation=cv2.INTER_AREA).ravel()
         self._last: Blocks | None = None
-        self._total = 1.0
 
     def start(self, image: NDArray[np.uint8]) -> None:
         """This frame's exposure is the map's."""
-        self._last, self._total = (self._luma(image), self.weights > 0), 1.0
-
-    def follow(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The next frame after ``start`` or another one, while there is no map, at the exposure of the first.
-
-        By the gains from each frame to the next: what is in view changes along the way, but little between two frames.
-        """
-        if self._last is None or not self.enabled:
-            return image
-        self._total *= self.gain(image, self._last)
         self._last = (self._luma(image), self.weights > 0)
-        return self._scaled(image, self._total, self.options.least_before)
 
     def before(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The frame for tracking, judged by the last frame's render (at first by the frame of the first map)."""
@@ -74,29 +64,20 @@ class ExposureMatcher:
         """The frame for mapping, judged by its own render, which the next frame will be judged by."""
         if not self.enabled:
             return image
-        known = self._blocks(render.opacity) > _KNOWN
+        known = self._blocks(render.opacity) > KNOWN
         self._last = (self._blocks(render.planes.mean(axis=0)), known & (self.weights > 0))
         return self._corrected(image, self._last, self.options.least_after)
 
     def gain(self, image: NDArray[np.uint8], reference: Blocks) -> float:
         """Frame over reference; 1 if there is too little to compare."""
         frame, (drawn, known) = self._luma(image), reference
-        usable = known & (np.minimum(frame, drawn) > _DARK) & (frame < _SATURATED)
-        if np.count_nonzero(usable) < _ENOUGH:
+        usable = known & (np.minimum(frame, drawn) > DARK) & (frame < SATURATED)
+        if np.count_nonzero(usable) < ENOUGH:
             return 1.0
-        ratio, weight = frame[usable] / drawn[usable], self.weights[usable]
-        order = np.argsort(ratio)
-        total = np.cumsum(weight[order])
-        return float(np.clip(ratio[order][np.searchsorted(total, 0.5 * total[-1])], *_RANGE))
+        return float(np.clip(weighted_median(frame[usable] / drawn[usable], self.weights[usable]), *RANGE))
 
     def _corrected(self, image: NDArray[np.uint8], reference: Blocks, least: float) -> NDArray[np.uint8]:
-        return self._scaled(image, self.gain(image, reference), least)
-
-    @staticmethod
-    def _scaled(image: NDArray[np.uint8], gain: float, least: float) -> NDArray[np.uint8]:
-        if abs(np.log(gain)) < least:
-            return image
-        return np.asarray(cv2.convertScaleAbs(image, alpha=1.0 / gain))
+        return scaled(image, self.gain(image, reference), least)
 
     def _luma(self, image: NDArray[np.uint8]) -> F32:
         small = cv2.resize(image, self.size, interpolation=cv2.INTER_AREA)
@@ -104,3 +85,17 @@ class ExposureMatcher:
 
     def _blocks(self, image: F32) -> F32:
         return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA).ravel())
+
+
+def weighted_median(values: NDArray[np.float32], weights: NDArray[Any]) -> np.float32:
+    """Of values (n,), at least one, with weights (n,)."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return np.float32(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def scaled(image: NDArray[np.uint8], gain: float, least: float) -> NDArray[np.uint8]:
+    """An image (H, W, 3) without its gain, if the gain's logarithm is ``least`` or more."""
+    if abs(np.log(gain)) < least:
+        return image
+    return np.asarray(cv2.convertScaleAbs(image, alpha=1.0 / gain))

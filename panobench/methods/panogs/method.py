@@ -25,6 +25,7 @@ from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.config import PanogsConfig, StitchOptions
 from panobench.methods.panogs.continuation import add_places, continue_map, saved_map
 from panobench.methods.panogs.exposure import ExposureMatcher, is_blank
+from panobench.methods.panogs.exposure_chain import ExposureChain
 from panobench.methods.panogs.factors import FactorGraph
 from panobench.methods.panogs.first_view import well_seen
 from panobench.methods.panogs.fixed_lag import FixedLag
@@ -106,7 +107,7 @@ class PanogsMethod(OnlineMethod):
         self.jobs = BackgroundJobs(self.mapper, self.trajectory, self.graph, self.lag, width)
         self.trajectory.followers = [self.mapper, self.tracker, self.relocaliser]
 
-        self.first_frames = Start(camera, context, c.start, self.exposure, self.rectifier)
+        self.first_frames = Start(camera, context, c.start, ExposureChain(camera, c.exposure), self.rectifier)
         self.first_depth: DepthEstimate | None = None
         self.before_first: list[Frame] = []  # frames before the one whose depth the map starts from
         self.numbers: dict[int, dict[str, float]] = {}

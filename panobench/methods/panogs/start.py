@@ -12,7 +12,7 @@ from panobench.geometry import invert_pose
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs import first_tracks
 from panobench.methods.panogs.config import StartOptions
-from panobench.methods.panogs.exposure import ExposureMatcher
+from panobench.methods.panogs.exposure_chain import ExposureChain
 from panobench.methods.panogs.rectify import Rectifier
 from panobench.photometric.pyramid import F32
 from panobench.types import DepthEstimate, Frame
@@ -39,7 +39,7 @@ class Start:
         camera: Camera,
         context: MethodContext,
         options: StartOptions,
-        exposure: ExposureMatcher,
+        exposure: ExposureChain,
         rectifier: Rectifier,
     ) -> None:
         self.camera, self.context, self.options = camera, context, options
@@ -56,7 +56,7 @@ class Start:
         if not self.frames:
             if not frame.mappable:  # the map begins with a frame that it may see
                 return None
-            self.exposure.start(frame.image)
+            self.exposure.start(frame.image, frame.mask)
         self.frames.append(frame)
         if self.held is None:
             self.held = self._estimate(frame)
@@ -78,7 +78,7 @@ class Start:
 
     def _estimate(self, frame: Frame) -> DepthEstimate | None:
         if self.estimator is not None:
-            return self.estimator.add(replace(frame, image=self.exposure.follow(frame.image)))
+            return self.estimator.add(replace(frame, image=self.exposure.follow(frame.image, frame.mask)))
         return DepthEstimate(np.full(frame.image.shape[:2], self.options.constant_depth, np.float32), frame.index)
 
     def _first_map(self, estimate: DepthEstimate) -> FirstMap:
@@ -109,13 +109,13 @@ class Start:
         estimator = self.context.make_depth()
         estimator.start(self.camera, self.context.seed)
         found: DepthEstimate | None = None
-        self.exposure.start(posed[0].image)
+        self.exposure.start(posed[0].image, posed[0].mask)
         for frame, rate in zip(posed, rates):
             image = self.rectifier.turned(frame.image, rate)
             if self.seam.lenses is not None:
                 depth_map = self._seen_from(estimate, frame.index)
                 image = self.rectifier.rectified(frame.image, rate, np.zeros(3), depth_map)
-            found = estimator.add(replace(frame, image=self.exposure.follow(image)))
+            found = estimator.add(replace(frame, image=self.exposure.follow(image, frame.mask)))
             if found is not None:
                 break
         found = found or estimator.finish() or estimate

@@ -12,6 +12,7 @@ from panobench.geometry import invert_pose
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import ExposureOptions
 from panobench.methods.panogs.exposure import ExposureMatcher
+from panobench.methods.panogs.exposure_chain import ExposureChain
 from panobench.methods.panogs.method import PanogsMethod
 from panobench.methods.panogs.start import FirstMap
 from panobench.photometric.overlap import ViewWidth
@@ -30,6 +31,12 @@ def picture(seed: int = 0) -> np.ndarray:
 def matcher(width: ViewWidth = ViewWidth.WIDE) -> ExposureMatcher:
     made = ExposureMatcher(pixel_weights(CAMERA), width, ExposureOptions())
     made.start(picture())
+    return made
+
+
+def chain(first: np.ndarray | None = None, visible: np.ndarray | None = None) -> ExposureChain:
+    made = ExposureChain(CAMERA, ExposureOptions())
+    made.start(picture() if first is None else first, visible)
     return made
 
 
@@ -61,16 +68,27 @@ def test_black_frames_have_no_gain() -> None:
 
 
 def test_what_comes_into_view_before_there_is_a_map_is_no_change_of_exposure() -> None:
-    scene, m = picture(), matcher()
+    scene, followed = picture(), chain()
     for column in range(0, 128, 4):  # in the end nothing is left of what the first frame showed, and all is darker
         scene = scene.copy()
         scene[:, column : column + 4] //= 2
-        assert m.follow(scene) is scene
-    assert m.before(scene // 2) is not scene
+        assert followed.follow(scene) is scene
+
+
+def test_nor_is_a_turn_where_a_mask_hides_part_of_the_picture() -> None:
+    """What the picture shows falls in steps and rises slowly, so that most of its pixels darken as it turns."""
+    ramp = np.tile(np.linspace(60, 200, 64), 2)[None, :, None] + np.linspace(-30, 30, 64)[:, None, None]
+    scene = np.repeat(np.clip(ramp, 0, 255), 3, axis=2).astype(np.uint8)
+    visible = np.ones((64, 128), dtype=bool)
+    visible[:, 40:90] = False
+    followed = chain(scene, visible)
+    for turned in range(3, 60, 3):
+        image = np.roll(scene, turned, axis=1)
+        assert followed.follow(image, visible) is image
 
 
 def test_an_exposure_that_swings_before_there_is_a_map_is_followed() -> None:
-    m = matcher()
+    m = chain()
     for gain in [*np.linspace(1.0, 0.6, 12), *np.linspace(0.6, 1.3, 20)]:
         back = m.follow(np.clip(picture() * gain, 0, 255).astype(np.uint8))
         np.testing.assert_allclose(back.astype(float), picture().astype(float), atol=8)
