@@ -15,6 +15,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from panobench.datasets.bags.dataset import Bag
+from panobench.datasets.base import FrameSequence
+from panobench.datasets.given import Given
 from panobench.geometry import quaternion_from_matrix
 
 START = 1_700_000_000
@@ -187,4 +190,30 @@ def write(path: Path, fill: Callable[[Recording], None], kind: str = "ros1") -> 
     return target
 
 
-__all__ = ["FRAMES", "KINDS", "SIZE", "START", "Messages", "Recording", "images", "times", "truth", "write"]
+def opened(path: Path, **given: Any) -> FrameSequence:
+    dataset = Bag(path)
+    dataset.given = Given(**given)
+    return dataset.open()
+
+
+def usual(recording: Recording) -> None:
+    images(recording)
+    truth(recording)
+    for k in range(40):
+        recording.add("/imu", recording.messages.imu(START + 0.0125 * k, (k, 0, 0), (0, 0, 9.8)))
+
+
+__all__ = [
+    "FRAMES",
+    "KINDS",
+    "SIZE",
+    "START",
+    "Messages",
+    "Recording",
+    "images",
+    "opened",
+    "times",
+    "truth",
+    "usual",
+    "write",
+]
