@@ -3,8 +3,8 @@
 A factor is what is left of one reference's bundle adjustment once the depths are marginalised: the poses of the frames
 around it, a quadratic cost around them, and a scale of its own. Every frame is in several factors, and the trajectory
 minimises the sum of their costs. There are few unknowns, so it is solved for in milliseconds however many pixels stand
-behind it. A weak prior on the poses as they were joins parts that no factor ties together. What the lenses of a rig
-tell of the scale is one more residual of each factor.
+behind it. A weak prior on the poses as they were joins parts that no factor ties together (``pose_prior``). What the
+lenses of a rig tell of the scale is one more residual of each factor.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from scipy.sparse.linalg import spsolve
 
 from panobench.geometry import hat, invert_pose, renormalise, se3_exp, se3_log
 from panobench.photometric.bundle import Bundle
+from panobench.photometric.pose_prior import HeldPoses, PosePrior
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 4
+#: More where the prior is robust, whose weights follow the poses.
+ITERATIONS, REWEIGHED_ITERATIONS = 4, 6
 #: Poses from which the normal equations are kept sparse: they have blocks along the diagonal, and some for loops.
 MANY = 200
 #: A step that changes nothing by more than this, in standard deviations of the prior, is the last one.
@@ -41,14 +43,6 @@ class BundleFactor:
 
 
 @dataclass(frozen=True)
-class PosePrior:
-    """Standard deviations of a pose as it was: translation (in the trajectory's unit), rotation (rad)."""
-
-    translation: float
-    rotation: float
-
-
-@dataclass(frozen=True)
 class LensUnits:
     """The units of a rig's map in a metre, which each factor has measured for itself (``Bundle.units``).
 
@@ -64,7 +58,7 @@ def optimise_trajectory(
     factors: list[BundleFactor],
     prior: PosePrior,
     held: NDArray[np.bool_],
-    iterations: int = ITERATIONS,
+    iterations: int | None = None,
     lens_units: LensUnits | None = None,
 ) -> Array:
     """Poses (N, 4, 4) that minimise the factors' costs; those ``held`` (N,) stay. T_wc (N, 4, 4): start and prior.
@@ -72,26 +66,29 @@ def optimise_trajectory(
     Frames are numbered from 0 to N - 1. Gauss-Newton on left twists of T_cw; the prior keeps the system regular.
     lens_units: of a rig, which holds the scale around every reference.
     """
-    count = len(T_wc)
-    before = invert_pose(T_wc)
-    T_cw = before.copy()
-    unit = np.tile(np.repeat([1.0 / prior.translation**2, 1.0 / prior.rotation**2], 3), count)
+    count, poses = len(T_wc), HeldPoses(T_wc, prior)
+    T_cw = poses.before.copy()
     free = np.flatnonzero(np.repeat(~held, 6))
     solve_for = _step_sparse if count > MANY else _step
-    for _ in range(iterations if len(free) else 0):
-        b, parts = unit * se3_log(T_cw @ invert_pose(before)).ravel(), []
+    if iterations is None:
+        iterations = ITERATIONS if prior.bend is None else REWEIGHED_ITERATIONS
+    for iteration in range(iterations if len(free) else 0):
+        if iteration:
+            poses.reweigh(T_cw)
+        b, bend = poses.gradient(T_cw), poses.bend(T_cw)
+        parts = [] if bend is None else [bend]
         for factor in factors:
             A, g = _linearise(factor, T_cw, lens_units)
             cells = (6 * np.append(factor.frames, factor.reference)[:, None] + np.arange(6)).ravel()
             parts.append((cells, A))
             b[cells] += g
-        step = solve_for(unit, parts, -b[free], free)
+        step = solve_for(poses.unit, parts, -b[free], free)
         if step is None:
             break
         x = np.zeros(6 * count)
         x[free] = step
         T_cw = renormalise(se3_exp(x.reshape(count, 6)) @ T_cw)
-        if np.abs(x * np.sqrt(unit)).max() < CONVERGED:
+        if np.abs(x * np.sqrt(poses.unit)).max() < CONVERGED:
             break
     return invert_pose(T_cw)
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, se3_log, umeyama
 from panobench.photometric.bundle import Bundle, BundleOptions, refine
-from panobench.photometric.pose_factors import BundleFactor, LensUnits, PosePrior, log_scale, optimise_trajectory
+from panobench.photometric.pose_factors import BundleFactor, LensUnits, log_scale, optimise_trajectory
+from panobench.photometric.pose_prior import PosePrior
 from panobench.photometric.pyramid import luma_of_frame
 from panobench.photometric.stereo import WorkingScale
 

@@ -214,7 +214,15 @@ class FactorOptions(Options):
     rig_reach: float = option(
         0.7, "on a rig: how far a frame may be from the reference that it is compared with", unit="depths", above=0
     )
-    prior_translation: float = option(0.006, "standard deviation of a tracked position", unit="depths", above=0)
+    prior_translation: float = option(
+        0.006,
+        "standard deviation of a tracked position, which is held less where factors move it far",
+        unit="depths",
+        above=0,
+    )
+    prior_bend: float = option(
+        0.0018, "standard deviation of how a fit bends tracked positions, from frame to frame", unit="depths", above=0
+    )
     prior_rotation: float = option(0.005, "standard deviation of a tracked rotation", unit="rad", above=0)
 
 

@@ -19,7 +19,8 @@ from panobench.methods.panogs.rig_scale import RigScale
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.photometric.bundle import BundleOptions, refine
 from panobench.photometric.overlap import ViewWidth
-from panobench.photometric.pose_factors import BundleFactor, PosePrior, log_scale, marginalise, optimise_trajectory
+from panobench.photometric.pose_factors import BundleFactor, log_scale, marginalise, optimise_trajectory
+from panobench.photometric.pose_prior import PosePrior
 from panobench.photometric.pyramid import F32, halve
 from panobench.photometric.stereo import WorkingScale
 
@@ -198,7 +199,7 @@ class FactorGraph:
         indices = [f.index for f in self.frames[lo:]]
         before = np.stack([trajectory[i] for i in indices])
         factors = [BundleFactor(f.reference - lo, f.frames - lo, f.bundle) for f in self.factors]
-        prior = PosePrior(o.prior_translation * scene_depth, o.prior_rotation)
+        prior = PosePrior(o.prior_translation * scene_depth, o.prior_rotation, o.prior_bend * scene_depth)
         units = self.rig_scale.held() if self.rig_scale is not None else None
         after = optimise_trajectory(before, factors, prior, np.arange(lo, count) < free, lens_units=units)
         # Noise in the poses before would pass for length; those after have little.

@@ -20,7 +20,8 @@ from panobench.methods.panogs.recognition import Recogniser, Way, drift_of
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.photometric.align import Alignment, align
 from panobench.photometric.bundle import BundleOptions, refine
-from panobench.photometric.pose_factors import BundleFactor, LensUnits, PosePrior, marginalise, optimise_trajectory
+from panobench.photometric.pose_factors import BundleFactor, LensUnits, marginalise, optimise_trajectory
+from panobench.photometric.pose_prior import PosePrior
 from panobench.photometric.pyramid import F32, pyramid
 from panobench.photometric.reference import AlignOptions, Reference, make_reference
 from panobench.photometric.stereo import WorkingScale
