@@ -45,8 +45,22 @@ def bundle_options(scale: WorkingScale, width: ViewWidth, rig: bool = False) -> 
     options = RIG_BUNDLE if rig else BUNDLE[width]
     if width is not ViewWidth.WIDE:
         return options
-    seen = float(scale.valid.sum()) / max(float(scale.camera.with_mask(None).valid_mask().sum()), 1.0)
-    return replace(options, cell_px=max(int(options.cell_px * seen), SMALLEST_CELL))
+    return replace(options, cell_px=max(int(options.cell_px * seen_share(scale)), SMALLEST_CELL))
+
+
+def seen_share(scale: WorkingScale) -> float:
+    """Share of the pixels that no mask hides, of those that the camera has."""
+    return float(scale.valid.sum()) / max(float(scale.camera.with_mask(None).valid_mask().sum()), 1.0)
+
+
+def softened(luma: F32) -> F32:
+    """Luma (h, w) of a panorama without its finest detail, NaN also beside NaN.
+
+    Between pixels an image is interpolated, which is off by what its slope changes within a pixel: by most at the
+    sharp edges that pixels are selected on.
+    """
+    padded = np.concatenate([luma[:, -1:], luma, luma[:, :1]], axis=1)
+    return np.ascontiguousarray(cv2.GaussianBlur(padded, (3, 3), 0)[:, 1:-1])
 
 
 @dataclass
@@ -71,6 +85,8 @@ class FactorGraph:
     ) -> None:
         self.scale, self.options, self.revisits, self.rig_scale = scale, options, revisits, rig_scale
         self.bundle_options = bundle_options(scale, width, rig_scale is not None)
+        #: Where a mask hides part of a wide view, what is left has to tell poses all the more exactly.
+        self.softens = width is ViewWidth.WIDE and rig_scale is None and seen_share(scale) < 1
         self.frames: list[_Frame] = []
         self.factors: list[BundleFactor] = []
         self.changed = False  # a factor has come since the last optimisation
@@ -81,7 +97,7 @@ class FactorGraph:
         o = self.options
         if not o.enabled:
             return
-        self.frames.append(_Frame(index, luma))
+        self.frames.append(_Frame(index, self._soft(luma)))
         old = len(self.frames) - 1 - o.renew_after - o.reach - o.every - o.late
         if old > o.reach + 1:  # the very first are needed again if frames before them are tracked (``reverse``)
             self.frames[old - 1].luma = None
@@ -95,7 +111,10 @@ class FactorGraph:
         """Another luma (h, w) of a frame, by its index in the sequence; nothing if it is not here."""
         frame = next((f for f in reversed(self.frames) if f.index == index), None)
         if frame is not None:
-            frame.luma = luma
+            frame.luma = self._soft(luma)
+
+    def _soft(self, luma: F32) -> F32:
+        return softened(luma) if self.softens else luma
 
     def reverse(self) -> None:
         """The next frames go on from the first one, backwards in time."""

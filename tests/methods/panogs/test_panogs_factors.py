@@ -13,7 +13,7 @@ from panobench.cameras.rig_panorama import LensCentres
 from panobench.datasets.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs.config import FactorOptions
-from panobench.methods.panogs.factors import NEAREST, FactorGraph, bundle_options
+from panobench.methods.panogs.factors import NEAREST, FactorGraph, bundle_options, softened
 from panobench.methods.panogs.rig_scale import RigScale
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
@@ -167,6 +167,23 @@ def test_cells_are_smaller_where_a_mask_hides_part_of_a_wide_view() -> None:
         hiding[128 - rows :] = False
         assert cell(whole.with_mask(hiding)) == pixels
         assert cell(whole.with_mask(hiding), ViewWidth.NARROW) == 8
+
+
+def test_images_are_softened_where_a_mask_hides_part_of_the_view() -> None:
+    whole, mask = ErpCamera(128, 64), np.ones((64, 128), bool)
+    mask[50:] = False
+    luma = np.random.default_rng(0).uniform(size=(64, 128)).astype(np.float32)
+    luma[~mask] = np.nan
+    for camera, same in ((whole, True), (whole.with_mask(mask), False)):
+        g = FactorGraph(WorkingScale.of(camera, 128), ViewWidth.WIDE, FactorOptions())
+        g.add(0, luma)
+        g.replace_luma(0, luma)
+        assert (g.frames[0].luma is luma) == same
+    soft = softened(luma)
+    assert np.nanstd(soft) < 0.5 * np.nanstd(luma)
+    assert np.isfinite(soft[:49]).all()
+    assert not np.isfinite(soft[49:]).any()
+    assert soft[10, 0] == pytest.approx(np.array([1, 2, 1]) @ luma[9:12, [-1, 0, 1]] @ np.array([1, 2, 1]) / 16)
 
 
 def test_on_a_rig_far_frames_are_left_out() -> None:
