@@ -230,6 +230,25 @@ def test_pose_graph_spreads_the_loop_error():
     np.testing.assert_array_equal(closed.t[0], walked.t[0])
 
 
+def test_matches_are_mutual_nearest_neighbours_as_opencv_finds_them(rng):
+    import cv2
+
+    a = rng.integers(0, 256, (70, 32), dtype=np.uint8)
+    b = np.concatenate([rng.integers(0, 256, (300, 32), dtype=np.uint8), a[20:], a[30:40]])
+    b[300:, :4] ^= rng.integers(0, 256, (len(b) - 300, 4), dtype=np.uint8)  # close, some of them equally close
+    b[350] = b[345]
+    distance, index = cv2.batchDistance(a, b, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)[:2]
+    back = cv2.batchDistance(b, a, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=1)[1][:, 0]
+    for ratio in (0.85, 1.01):
+        good = (distance[:, 0] <= 64) & (distance[:, 0] < ratio * distance[:, 1])
+        good &= back[index[:, 0]] == np.arange(len(a))
+        left, right = match(a, b, ratio=ratio)
+        assert len(left) > 30
+        assert np.array_equal(left, np.flatnonzero(good))
+        assert np.array_equal(right, index[good, 0])
+    assert len(match(a, b[:1])[0]) == 0
+
+
 def test_descriptors_survive_rotation_in_the_image(rng):
     import cv2
 

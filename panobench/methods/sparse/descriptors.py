@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.kernels.jit import njit
+from panobench.kernels.jit import JIT, njit
 from panobench.methods.sparse.patches import STORED
 
 #: Comparisons per level; two levels fill 32 bytes.
@@ -78,6 +77,39 @@ def describe(templates: NDArray[np.float32]) -> NDArray[np.uint8]:
     return out
 
 
+@njit(**JIT)
+def _nearest(a, b, first, second, index, back_distance, back):  # type: ignore[no-untyped-def]
+    """Hamming distances between a (N, 4) and b (4, M), 256 bits each, of all pairs at once.
+
+    Write of each a the least and the second distance and which b is nearest, first, second, index (N,), and of each b
+    the least distance and which a, back_distance, back (M,); larger distances stood there. The first of equals counts.
+    """
+    pairs, fours = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333)
+    nibbles, bytes_, ones = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
+    by1, by2, by4, by8, by48 = np.uint64(1), np.uint64(2), np.uint64(4), np.uint64(8), np.uint64(48)
+    row = np.empty(b.shape[1], np.int32)
+    for i in range(len(a)):
+        for j in range(b.shape[1]):  # bits are counted in parallel, in ever wider fields
+            x, y, z, w = a[i, 0] ^ b[0, j], a[i, 1] ^ b[1, j], a[i, 2] ^ b[2, j], a[i, 3] ^ b[3, j]
+            x -= (x >> by1) & pairs
+            y -= (y >> by1) & pairs
+            z -= (z >> by1) & pairs
+            w -= (w >> by1) & pairs
+            x = (x & fours) + ((x >> by2) & fours) + (y & fours) + ((y >> by2) & fours)
+            z = (z & fours) + ((z >> by2) & fours) + (w & fours) + ((w >> by2) & fours)
+            x = (x & nibbles) + ((x >> by4) & nibbles) + (z & nibbles) + ((z >> by4) & nibbles)
+            x = (x & bytes_) + ((x >> by8) & bytes_)
+            row[j] = np.int32((x * ones) >> by48)
+        for j in range(b.shape[1]):
+            d = row[j]
+            if d < back_distance[j]:
+                back_distance[j], back[j] = d, i
+            if d < first[i]:
+                first[i], second[i], index[i] = d, first[i], j
+            elif d < second[i]:
+                second[i] = d
+
+
 def match(
     a: NDArray[np.uint8], b: NDArray[np.uint8], farthest: int = 64, ratio: float = 0.85
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -85,9 +117,15 @@ def match(
     none = np.empty(0, np.int64)
     if len(a) == 0 or len(b) < 2:
         return none, none
-    near = cv2.batchDistance(a, b, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)
-    distance, index = near[0], near[1]
-    back = cv2.batchDistance(b, a, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=1)[1][:, 0]
+    more = 8 * BYTES + 1
+    first, second, index = np.full(len(a), more, np.int32), np.full(len(a), more, np.int32), np.zeros(len(a), np.int64)
+    nearest, back = np.full(len(b), more, np.int32), np.zeros(len(b), np.int64)
+    _nearest(_words(a), np.ascontiguousarray(_words(b).T), first, second, index, nearest, back)
     i = np.arange(len(a))
-    good = (distance[:, 0] <= farthest) & (distance[:, 0] < ratio * distance[:, 1]) & (back[index[:, 0]] == i)
-    return i[good], index[good, 0].astype(np.int64)
+    good = (first <= farthest) & (first < ratio * second) & (back[index] == i)
+    return i[good], index[good]
+
+
+def _words(descriptors: NDArray[np.uint8]) -> NDArray[np.uint64]:
+    """(N, 4) of descriptors (N, 32)."""
+    return np.ascontiguousarray(descriptors).view(np.uint64)

@@ -217,7 +217,8 @@ def renew_templates(
     ids, b = ids[stale], b[stale]
     if len(ids) == 0:
         return
-    m.template[ids] = face_set.templates(pyramid, b)
-    m.descriptor[ids] = describe(m.template[ids])
+    templates = face_set.templates(pyramid, b)
+    m.renew_templates(ids, templates)
+    m.descriptor[ids] = describe(templates)
     m.anchor[ids] = keyframe.number
     m.anchor_bearing[ids] = b

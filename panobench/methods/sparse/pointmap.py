@@ -61,12 +61,17 @@ _FIELDS: dict[str, tuple[tuple[int, ...], Any]] = {
     "misses": ((), np.int32),  # frames in a row in which it was not found
     "parallax": ((), np.float64),  # largest so far, radians
     "descriptor": ((32,), np.uint8),  # of the template
+    "_slot": ((), np.int64),  # where the template is, -1 once another point has its place
 }
 
 
 @dataclass
 class PointMap:
-    """Points in parallel arrays with spare capacity; attributes are views of the used part."""
+    """Points in parallel arrays with spare capacity; attributes are views of the used part.
+
+    Templates are a hundred times as large as the rest of a point, and most points die. New templates take the places of
+    those of dead points.
+    """
 
     levels: int
     lenses: Lenses = field(default_factory=Lenses)
@@ -77,7 +82,8 @@ class PointMap:
     def __post_init__(self) -> None:
         for name, (shape, dtype) in _FIELDS.items():
             self._arrays[name] = np.zeros((0, *shape), dtype)
-        self._arrays["template"] = np.zeros((0, self.levels, STORED, STORED), np.float32)
+        self._templates = np.zeros((0, self.levels, STORED, STORED), np.float32)
+        self._templates_used = 0
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         arrays = self.__dict__.get("_arrays", {})
@@ -85,8 +91,13 @@ class PointMap:
             raise AttributeError(name)
         return arrays[name][: self.size]
 
-    def add(self, count: int, **values: Any) -> NDArray[np.int64]:
-        """Append ``count`` points with these fields, all others zero. Returns their indices."""
+    def add(self, count: int, template: NDArray[np.float32] | float = 0.0, **values: Any) -> NDArray[np.int64]:
+        """Append ``count`` points with templates (count, levels, 16, 16) and these fields, all others zero.
+
+        Returns their indices.
+        """
+        values["_slot"] = slots = self._places(count)
+        self._templates[slots] = template
         new = self.size + count
         for name, array in self._arrays.items():
             if new > len(array):
@@ -97,6 +108,27 @@ class PointMap:
         index = np.arange(self.size, new)
         self.size = new
         return index
+
+    def _places(self, count: int) -> NDArray[np.int64]:
+        """Where to put the templates of so many new points."""
+        dead = np.flatnonzero((self.state == DEAD) & (self._slot >= 0))[:count]
+        free = self._slot[dead]
+        self._slot[dead] = -1
+        first = self._templates_used
+        self._templates_used += count - len(free)
+        if self._templates_used > len(self._templates):
+            grown = np.zeros((max(self._templates_used, 3 * first // 2, 1024), *self._templates.shape[1:]), np.float32)
+            grown[:first] = self._templates[:first]
+            self._templates = grown
+        return np.concatenate([free, np.arange(first, self._templates_used)])
+
+    def templates_on(self, points: NDArray[np.int64], level: int) -> NDArray[np.float32]:
+        """(n, 16, 16) of points that are not dead, on a level of the pyramid."""
+        return np.asarray(self._templates[self._slot[points], level])
+
+    def renew_templates(self, points: NDArray[np.int64], templates: NDArray[np.float32]) -> None:
+        """Replace the templates of points that are not dead."""
+        self._templates[self._slot[points]] = templates
 
     def inverse_distance(self, index: NDArray[np.int64]) -> Array:
         """1 / distance (n,) from each point to its anchor keyframe, to the lens that the template is from."""

@@ -75,7 +75,7 @@ class Aligner:
             self.face_set.R_fc,
             self.face_set.intrinsics,
             self.face_set.focal,
-            m.template[points, level],
+            m.templates_on(points, level),
             m.anchor_bearing[points],
             m.inverse_distance(points),
             *self._motion(T_cw, points, bearings),
