@@ -55,7 +55,8 @@ class ExposureChain:
         return scaled(image, self._gain, self.options.least_before)
 
     def _pyramid(self, image: NDArray[np.uint8], visible: NDArray[np.bool_] | None) -> list[F32]:
-        return pyramid(luma_of_frame(image, self._valid if visible is None else self._valid & visible))
+        luma = luma_of_frame(image, self._valid if visible is None else self._valid & visible)
+        return pyramid(luma, self._scale.camera.width)
 
     def _between(self, before: list[F32], after: list[F32], turn: NDArray[np.float64] | None) -> float:
         """Gain of a frame over the one before; 1 if there is too little to compare. turn: as by the aligner."""

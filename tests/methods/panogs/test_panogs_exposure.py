@@ -137,3 +137,13 @@ def test_panogs_follows_a_swinging_exposure(tmp_path) -> None:  # type: ignore[n
         errors[match] = run.number("ate_rmse_m") if run.number("tracked") == 1.0 else np.inf
     assert errors[True] < 0.03
     assert errors[True] < 0.5 * errors[False]
+
+
+@pytest.mark.parametrize("width", [40, 96, 160])
+def test_frames_of_every_size_have_an_exposure(width: int) -> None:
+    """Not all are halved as often as those of 64 times a power of two."""
+    scene = np.kron(np.random.default_rng(0).uniform(60, 150, (width // 8, width // 4, 3)), np.ones((4, 4, 1)))
+    followed = ExposureChain(ErpCamera(width, width // 2), ExposureOptions())
+    followed.start(scene.astype(np.uint8))
+    darker = followed.follow((scene * 0.6).astype(np.uint8))
+    assert darker.mean() == pytest.approx(scene.mean(), rel=0.03)
