@@ -25,7 +25,7 @@ from panobench.masks.evidence import Searcher, Small
 from panobench.masks.pairs import Faces, Pair, find_pair
 from panobench.masks.panorama import Panorama
 from panobench.masks.region import grown, hidden_region, to_camera
-from panobench.masks.turning import follow_carrier, interpolated
+from panobench.masks.turning import Followed, follow_carrier, interpolated
 from panobench.methods.sparse.faces import FaceSet, build_faces
 
 Array = NDArray[np.float64]
@@ -40,8 +40,8 @@ BORDER = 8
 LEAST, MOST = 0.003, 0.7
 #: Fewer pairs with motion than these say nothing.
 ENOUGH = 2
-#: Frames on which a carrier is followed, at most, and seconds between two of them, at most.
-MOST_FOLLOWED, LONGEST_STEP = 600, 0.3
+#: Frames on which a carrier is followed, at most, and seconds between two of them: at first, and if it is lost then.
+MOST_FOLLOWED, STEPS = 600, (0.3, 0.1)
 #: Radians by which it must turn for frames to get masks of their own, and the most that its look may differ from what
 #: it was, over how much it would if it stayed in place. Anybody who walks sways by some ten degrees.
 LEAST_TURN, MOST_APART = np.deg2rad(25), 0.85
@@ -191,25 +191,39 @@ class _Frames:
 
         region (H, W): where the carrier is, by votes in the picture's axes.
         """
-        count = len(self.sequence)
+        if not self.visible.all():
+            return None  # a mask that turns would leave the view
+        count, panorama = len(self.sequence), self.searcher.panorama
+        votes = [one for one in votes if not one.lasting]
+        # What turns has swept over the region: most of that may be scene. One pair of frames saw where it was then.
+        one = min(votes, key=lambda v: abs(v.index - count // 2))
+        then = hidden_region(panorama, one.votes, one.weights) & region
+        for step_s in STEPS:
+            followed = self._followed(step_s, then if then.any() else region, one.index)
+            if followed is None or followed.angle < LEAST_TURN:
+                return None
+            turns = interpolated(followed.turns, count)
+            better = agreement(*summed(votes, turns, panorama)) > agreement(*summed(votes))
+            if better and followed.apart <= MOST_APART:
+                return turns
+        return None
+
+    def _followed(self, step_s: float, region: NDArray[np.bool_], start: int) -> Followed | None:
+        """The carrier followed from frame ``start`` on, where it is in ``region`` (H, W), every ``step_s`` seconds.
+
+        None if it is nowhere, or frames are too far apart.
+        """
+        count, small = len(self.sequence), self.searcher.half
         interval = float(np.median(np.diff(self.sequence.times)))
-        step = max(count // MOST_FOLLOWED, int(LONGEST_STEP / interval), 1)
-        if not self.visible.all() or (step > 1 and step * interval > LONGEST_STEP):
-            return None  # a mask that turns would leave the view; or frames are too far apart to follow anything
-        small = self.searcher.half
+        step = max(count // MOST_FOLLOWED, int(step_s / interval), 1)
+        if step > 1 and step * interval > step_s:
+            return None
         where = cv2.resize(region.view(np.uint8), (small.width, small.height), interpolation=cv2.INTER_NEAREST) > 0
         if not where.any():
             return None
-        wanted = {*range(0, count, step), count - 1}
-        halves = {i: self.searcher.half_of(self._reprojector.image(self.sequence.image(i))) for i in sorted(wanted)}
-        middle = min(halves, key=lambda i: abs(i - count // 2))
-        followed = follow_carrier(small, halves, where, middle)
-        if followed.angle < LEAST_TURN or followed.apart > MOST_APART:
-            return None
-        turns = interpolated(followed.turns, count)
-        votes = [one for one in votes if not one.lasting]
-        better = agreement(*summed(votes, turns, self.searcher.panorama)) > agreement(*summed(votes))
-        return turns if better else None
+        wanted = sorted({*range(start % step, count, step), 0, count - 1})
+        halves = {i: self.searcher.half_of(self._reprojector.image(self.sequence.image(i))) for i in wanted}
+        return follow_carrier(small, halves, where, start)
 
     def _look(self, index: int) -> Faces:
         if index not in self._faces:

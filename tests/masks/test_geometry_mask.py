@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from mask_walks import walk
@@ -11,9 +12,10 @@ from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.capture.sequence import CapturedSequence
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.converted import ConvertedSequence
-from panobench.geometry import so3_exp
+from panobench.geometry import so3_exp, so3_log
 from panobench.masks.base import MaskEstimate
-from panobench.masks.geometry import GeometryMask, view_share
+from panobench.masks.geometry import GeometryMask, Votes, _Frames, view_share
+from panobench.masks.panorama import Panorama
 from panobench.plugins import registry
 from panobench.specs import MaskSpec
 from panobench.testing import check_spec
@@ -76,6 +78,24 @@ def test_whoever_turns_in_a_levelled_picture_is_hidden_where_she_is() -> None:
     assert "turns in the picture" in found.message
     with pytest.raises(KeyError):
         found.frames[len(sequence)]
+
+
+def test_who_swings_fast_is_followed_from_where_one_pair_of_frames_saw_her() -> None:
+    """In steps of 0.3 s she would be lost, and what she has swept over is scene for the most part."""
+    panorama, rng = Panorama(256), np.random.default_rng(0)
+    looks = [3 * cv2.GaussianBlur(rng.uniform(-255, 255, (128, 256, 3)), (0, 0), 2.0) + 128 for _ in range(2)]
+    scene, carrier = (np.clip(look, 0, 255).astype(np.float32) for look in looks)
+    there = (panorama.rays[..., 1] > 0.1) & (panorama.rays[..., 2] > 0.3)
+    true = [so3_exp([0.0, np.deg2rad(64) * np.sin(np.pi * (i - 15) / 15), 0.0]) for i in range(31)]
+    images, where = [], []
+    for R in true:
+        back = panorama.rays @ R
+        where.append(panorama.at(there.astype(np.float32), back) > 0.5)
+        images.append(np.where(where[-1][..., None], panorama.at(carrier, back), scene).astype(np.uint8))
+    votes = [Votes(i, np.where(where[i], 1.0, -1.0), np.ones((128, 256))) for i in (0, 5, 15, 22, 30)]
+    turns = _Frames(Frames(panorama.camera, images)).turns(votes, np.any(where, axis=0))
+    assert turns is not None
+    assert max(np.linalg.norm(so3_log(R.T @ T)) for R, T in zip(true, turns)) < np.deg2rad(4)
 
 
 def test_who_only_sways_gets_one_mask_for_all_frames() -> None:
