@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import make_pose, renormalise
+from panobench.geometry import make_pose, renormalise, so3_log
 from panobench.inertial.initialise import DoubleIntegral, Initial, initialise
 from panobench.inertial.rotation import RotationFit, fit_rotation
 from panobench.inertial.samples import InertialError, Samples
@@ -31,8 +31,20 @@ TRY_AGAIN_S, TRY_EVERY_S, RENEW_EVERY_S = 0.1, 1.0, 5.0
 VELOCITY_S = 0.6
 #: The camera is expected by the accelerometer for so long without a visual pose, by the gyroscope alone for so long, s.
 RECKON_S, TURN_S = 6.0, 0.5
+#: The way a lost camera looks is known for so long; it is taken to go on at its last velocity for so long, s.
+HEADING_S, GLIDE_S = 20.0, 3.0
+#: A camera looks at most so far from where it is expected to.
+HEADING_DEG = 5.0
 #: Most frames that a calibration looks at.
 FRAMES_MAX = 300
+
+
+def looks_elsewhere(T_wc: Array, expected: Array | None) -> bool:
+    """Whether a pose (4, 4) looks another way than the gyroscope says; expected (4, 4): None if it says nothing."""
+    if expected is None:
+        return False
+    turned = so3_log(expected[:3, :3].T @ T_wc[:3, :3])
+    return float(np.degrees(np.linalg.norm(turned))) > HEADING_DEG
 
 
 @dataclass
@@ -65,11 +77,32 @@ class Predictor:
 
     def expect(self, time: float) -> Array | None:
         """T_wc (4, 4) of the next frame in the present map; None if nothing is known about it."""
+        covered = self._covered(time, TURN_S if self.initial is None else RECKON_S)
+        return None if covered is None else self._reckon(*covered, time)
+
+    def heading(self, time: float) -> Array | None:
+        """T_wc (4, 4) of a camera that has been lost for a while; None if nothing is known about it.
+
+        It looks the way that the gyroscope says, and is roughly where its last velocity takes it.
+        """
+        covered = self._covered(time, HEADING_S)
+        if covered is None:
+            return None
+        recent, near = covered
+        since, p = recent.times - recent.times[-1], recent.T_wc[:, :3, 3]
+        velocity = np.polyfit(since, p, 1)[0] if len(recent) > 2 else np.zeros(3)
+        R = self._turned(recent, DoubleIntegral(recent, near, self._known_rotation), time)
+        return renormalise(make_pose(R, p[-1] + velocity * min(time - recent.times[-1], GLIDE_S)))
+
+    def _covered(self, time: float, most_s: float) -> tuple[VisualPoses, Samples] | None:
+        """The last frames with a pose, and the samples from the first of them until ``time``.
+
+        None if there are gaps, or if the last frame is longer ago than ``most_s``.
+        """
         if self.rotation is None or not self.tracked:
             return None
         last = self.tracked[-1]
-        apart = time - last.time
-        if not 0 < apart <= (TURN_S if self.initial is None else RECKON_S):
+        if not 0 < time - last.time <= most_s:
             return None
         recent = self._poses(last.time - VELOCITY_S)
         if not len(recent) or recent.times[-1] != last.time:
@@ -80,16 +113,24 @@ class Predictor:
         near = _slice(self.samples, int(first), int(stop))
         if len(near) < 4 or not near.shifted(offset).covers(recent.times[:1], np.array([time]))[0]:
             return None
-        return self._reckon(recent, near, time)
+        return recent, near
+
+    @property
+    def _known_rotation(self) -> RotationFit:
+        assert self.rotation is not None
+        return self.rotation
+
+    def _turned(self, recent: VisualPoses, integral: DoubleIntegral, time: float) -> Array:
+        """(3, 3) the camera's axes at ``time``, in the map's."""
+        R_cb = self._known_rotation.R_body_cam.T
+        return np.asarray(recent.T_wc[-1, :3, :3] @ R_cb @ integral.turn(recent.times[-1], time) @ R_cb.T)
 
     def _reckon(self, recent: VisualPoses, near: Samples, time: float) -> Array:
         """By the samples from the first of the recent frames on."""
-        rotation = self.rotation
-        assert rotation is not None
-        integral = DoubleIntegral(recent, near, rotation)
+        integral = DoubleIntegral(recent, near, self._known_rotation)
         times = np.append(recent.times, time)
-        R_cb = rotation.R_body_cam.T
-        R = recent.T_wc[-1, :3, :3] @ R_cb @ integral.turn(recent.times[-1], time) @ R_cb.T
+        R_cb = self._known_rotation.R_body_cam.T
+        R = self._turned(recent, integral, time)
         p = recent.T_wc[:, :3, 3]
         if self.initial is None:
             if len(recent) < 2:

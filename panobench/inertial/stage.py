@@ -81,6 +81,15 @@ class InertialStage:
         self.seconds += time.perf_counter() - began
         return T_wc
 
+    def heading(self, time_s: float) -> Array | None:
+        """T_wc (4, 4) of a lost camera: which way it looks, and roughly where; None if nothing is known."""
+        if self.predictor is None:
+            return None
+        began = time.perf_counter()
+        T_wc = self.predictor.heading(time_s)
+        self.seconds += time.perf_counter() - began
+        return T_wc
+
     def tracked(self, index: int, time_s: float) -> None:
         """The frame got a visual pose."""
         if self.predictor is None:

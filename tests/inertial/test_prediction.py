@@ -75,6 +75,26 @@ def test_a_turn_by_400_degrees_a_second_is_expected_though_the_camera_stood_stil
     assert np.degrees(worst) < 1.0
 
 
+@pytest.mark.parametrize("lost_s", [1.0, 6.0])
+def test_the_way_a_lost_camera_looks_is_known_without_a_scale(lost_s: float) -> None:
+    recording = record(walk(22.0, seed=4), 22.0, rate_hz=500.0)
+    visual = seen(recording, noise_m=0.001)
+    found = predictor(recording, visual)
+    last = int(np.searchsorted(recording.times, 8.0))
+    for index in range(last + 1):
+        found.record(index, float(recording.times[index]))
+    found.initial = None
+    then = last + round(lost_s * 30)
+    time = float(recording.times[then])
+    assert found.expect(time) is None
+    T = found.heading(time)
+    assert T is not None
+    off = invert_pose(visual.T_wc[then]) @ T
+    assert np.degrees(np.linalg.norm(so3_log(off[:3, :3]))) < 0.5
+    assert lost_s > 2 or np.linalg.norm(off[:3, 3]) < 0.5 * SCALE  # a metre of walking
+    assert found.heading(float(recording.times[last]) + 30.0) is None
+
+
 def test_a_gap_of_the_samples_is_no_expectation() -> None:
     recording = record(walk(12.0, seed=4), 12.0, rate_hz=200.0)
     imu = recording.imu

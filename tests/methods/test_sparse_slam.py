@@ -18,6 +18,7 @@ from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.faces import build_faces
 from panobench.methods.sparse.method import SparseMethod
 from panobench.methods.sparse.pointmap import DEAD
+from panobench.methods.sparse.relocalise import find_again
 from panobench.methods.sparse.rotation import RotationFinder
 from panobench.types import Frame
 
@@ -176,6 +177,22 @@ def test_kidnapped_camera_is_found_again(panoramas):
     assert estimate.extra["relocalised"] >= 1
     assert len(index) == len(shown) - 2
     assert ate < 0.006
+
+
+def test_a_lost_camera_is_found_only_where_it_looks_as_the_gyroscope_says(panoramas):
+    camera, _, images = panoramas
+    method = SparseMethod()
+    method.start(camera, MethodContext())
+    for i, image in enumerate(images[:16]):
+        T_wc = method.track(Frame(i, 0.1 * i, image))
+    aligner, pyramid = method._aligner(method.session), method.face_set.pyramid(images[15], method.levels)
+    moved = make_pose(T_wc[:3, :3], T_wc[:3, 3] + [0.3, 0.1, -0.2])
+    tracked = find_again(aligner, pyramid, 16, method.rng, moved)
+    assert np.linalg.norm(invert_pose(tracked.T_cw)[:3, 3] - T_wc[:3, 3]) < 0.003
+    turned = make_pose(T_wc[:3, :3] @ so3_exp([0.0, 0.3, 0.0]), T_wc[:3, 3])
+    assert find_again(aligner, pyramid, 17, method.rng, turned) is None
+    assert find_again(aligner, pyramid, 18, method.rng, None) is not None
+    method.pool.shutdown()
 
 
 def inject_drift(session, first, scale, turn):

@@ -141,6 +141,8 @@ class PanogsMethod(OnlineMethod):
         began = time.perf_counter()
         gaussians = self.mapper.map.gaussians
         expected = self.inertial.expect(frame.time)
+        if expected is None and self.phase is Phase.LOST:
+            expected = self.inertial.heading(frame.time)
         frame, tracked = self._track(frame, expected)
         trusted = self.relocaliser.judge(tracked, gaussians, self.trajectory.keyframes, expected)
         if trusted is None:

@@ -8,13 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import so3_log
+from panobench.inertial.prediction import looks_elsewhere
 
 Pose = NDArray[np.float64]
 #: A camera that was lost has moved by at most this many of its median steps a frame, and by this much more, in depths.
 STEPS, FREE_DEPTHS = 5.0, 0.5
-#: A pose is turned by at most this much against what the gyroscope says.
-TURN_DEG = 20.0
 
 
 @dataclass
@@ -39,12 +37,7 @@ class Reach:
 
         depth: of the scene. expected (4, 4): where an IMU expects the camera; only its rotation counts.
         """
-        if expected is not None and np.degrees(turn(expected, after)) > TURN_DEG:
+        if looks_elsewhere(after, expected):
             return False
         most = STEPS * self.usual(frames) + FREE_DEPTHS * depth
         return float(np.linalg.norm(after[:3, 3] - before[:3, 3])) <= most
-
-
-def turn(before: Pose, after: Pose) -> float:
-    """The angle between two poses, rad."""
-    return float(np.linalg.norm(so3_log(before[:3, :3].T @ after[:3, :3])))

@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import invert_pose, renormalise
+from panobench.geometry import invert_pose, make_pose, renormalise
+from panobench.inertial.prediction import looks_elsewhere
 from panobench.methods.panogs.agreement import COARSE, FINE, agreement
 from panobench.methods.panogs.config import RelocalisationOptions
 from panobench.methods.panogs.place_recognition import Places, yawed
@@ -29,6 +30,8 @@ from panobench.splat.gaussians import GaussianMap
 from panobench.splat.render import Render
 
 Pose = NDArray[np.float64]
+#: The search starts from the places of so many keyframes around the expected one, if one is expected.
+NEAR_KEYFRAMES = 3
 
 
 class Relocaliser:
@@ -76,6 +79,8 @@ class Relocaliser:
         if not o.enabled:
             return tracked
         residual = tracked.cost if tracked.alignment is None else tracked.alignment.sigma
+        if looks_elsewhere(tracked.T_wc, expected):
+            return self._search(tracked, gaussians, keyframes, expected)
         usual = self.lost_for == 0 and len(self.usual) > 0 and residual <= o.unusual * float(np.median(self.usual))
         if not (usual and tracked.good):
             checked = self._checked(tracked, gaussians, o.agree_lost if self.lost_for else o.agree_tracked)
@@ -125,7 +130,7 @@ class Relocaliser:
     ) -> Tracked | None:
         frame = self.tracker.pyramid
         best, most = None, self.options.agree_entry if self.strict else self.options.agree_lost
-        for start in self._starts(frame[-1], keyframes):
+        for start in self._starts(frame[-1], keyframes, expected):
             found = self.descend(frame, gaussians, start)
             possible = found.good and self._reachable(found, expected)
             share = self._agreement(found.render) if possible else 0.0
@@ -143,9 +148,10 @@ class Relocaliser:
         self._accept(best, best.alignment.sigma if best.alignment else best.cost)
         return best
 
-    def _starts(self, luma: F32, keyframes: Sequence[View]) -> list[Pose]:
+    def _starts(self, luma: F32, keyframes: Sequence[View], expected: Pose | None) -> list[Pose]:
         o, asked = self.options, self.places.thumbnail(luma)
-        starts: list[Pose] = []
+        known = [] if expected is None else self._starts_of(expected, keyframes)
+        starts = list(known)
         if self._good is not None:
             T, last = self._good
             starts.append(T)
@@ -154,7 +160,15 @@ class Relocaliser:
         starts += [yawed(keyframes[m.number].T_wc, m.yaw) for m in alike]
         if self.lost_for < o.patience:
             return starts[: o.starts]
-        return [yawed(keyframes[m.number].T_wc, m.yaw) for m in alike[: o.starts_later]]
+        return known + [yawed(keyframes[m.number].T_wc, m.yaw) for m in alike[: o.starts_later]]
+
+    def _starts_of(self, expected: Pose, keyframes: Sequence[View]) -> list[Pose]:
+        """Looking the way that is expected: from there, from the last good pose's place, from keyframes' around it."""
+        places = np.stack([view.position for view in keyframes])
+        away = np.linalg.norm(places - expected[:3, 3], axis=1)
+        near = places[np.argsort(away, kind="stable")[:NEAR_KEYFRAMES]]
+        last = [] if self._good is None else [self._good[0][:3, 3]]
+        return [expected, *(make_pose(expected[:3, :3], place) for place in [*last, *near])]
 
     def descend(self, frame: list[F32], gaussians: GaussianMap, T_wc: Pose) -> Tracked:
         """Align on all levels to fresh renders until the frame stays where it is; the render is of the final pose."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, make_pose, renormalise, so3_log
 from panobench.inertial.fusion import Unit
+from panobench.inertial.prediction import looks_elsewhere
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.ground import height_above_ground
@@ -37,7 +38,7 @@ from panobench.methods.sparse.mapping import (
 )
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
 from panobench.methods.sparse.refine import correct_shutter, refined_poses
-from panobench.methods.sparse.relocalise import relocalise
+from panobench.methods.sparse.relocalise import find_again
 from panobench.methods.sparse.rig_faces import RigFaces, build_rig_faces
 from panobench.methods.sparse.rotation import RotationFinder
 from panobench.methods.sparse.scale import adjust_scale, is_due, scale_sigma
@@ -135,8 +136,8 @@ class SparseMethod(OnlineMethod):
         """While a new map is being initialised: relocalise in the previous one."""
         if not self.previous or len(self.previous[-1].map.keyframes) < YOUNG_MAP:
             return None
-        session = self.previous[-1]
-        tracked = relocalise(self._aligner(session), pyramid, frame.index, self.rng)
+        session, heading = self.previous[-1], self.inertial.heading(frame.time)
+        tracked = find_again(self._aligner(session), pyramid, frame.index, self.rng, heading)
         if tracked is None:
             return None
         self.context.log(f"frame {frame.index}: relocalised in the previous map")
@@ -152,11 +153,12 @@ class SparseMethod(OnlineMethod):
     def _track(self, session: Session, pyramid: Pyramid, frame: Frame) -> Array | None:
         aligner = self._aligner(session)
         expected = self.inertial.expect(frame.time)
+        heading = self.inertial.heading(frame.time) if expected is None else expected
         for guess in self._guesses(session, expected):
             tracked = track_frame(aligner, pyramid, renormalise(guess), frame.index, self.config.min_inliers)
-            if tracked is not None:
+            if tracked is not None and not looks_elsewhere(invert_pose(tracked.T_cw), heading):
                 return self._accept(session, pyramid, frame, tracked, recovered=session.lost > 0)
-        tracked = relocalise(aligner, pyramid, frame.index, self.rng)
+        tracked = find_again(aligner, pyramid, frame.index, self.rng, heading)
         if tracked is not None:
             session.relocalised += 1
             return self._accept(session, pyramid, frame, tracked, recovered=True)
@@ -217,8 +219,9 @@ class SparseMethod(OnlineMethod):
         return invert_pose(session.T_cw)
 
     def _pose_of(self, index: int) -> Array | None:
-        """T_wc of a frame of the present map."""
-        return self.session.find(index) if self.session is not None else None
+        """T_wc of a frame of the present map, or of the one that was lost while another is begun."""
+        session = self.session or (self.previous[-1] if self.previous else None)
+        return None if session is None else session.find(index)
 
     def _wants_keyframe(self, m: PointMap, frame: Frame, tracked: Tracked) -> bool:
         config = self.config
