@@ -48,19 +48,19 @@ class FitOptions:
 class Noise:
     """Standard deviations of a visual pose, per axis, and of what drifts between two references.
 
-    drift_m: on top of a five-hundredth of the distance. drift_scale: relative. The defaults of the drift are of good
+    drift_m: on top of a two-thousandth of the distance. drift_scale: relative. The defaults of the drift are of good
     poses; rounds of the fit make them larger, never smaller.
     """
 
     position_m: float
     rotation_rad: float
-    drift_m: float = 0.002
-    drift_rad: float = 5e-4
-    drift_scale: float = 0.001
+    drift_m: float = 0.001
+    drift_rad: float = 2e-4
+    drift_scale: float = 5e-4
 
     def drift_sigmas(self, distance_m: float) -> Array:
         """(6,) rotation and position."""
-        return np.repeat([self.drift_rad, self.drift_m + distance_m / 500], 3)
+        return np.repeat([self.drift_rad, self.drift_m + distance_m / 2000], 3)
 
 
 @dataclass(frozen=True)
