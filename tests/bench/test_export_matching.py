@@ -159,7 +159,7 @@ def test_an_odd_size_is_matched_at_once(bulging: PosedPanoramas) -> None:
         scale=WorkingScale.of(ErpCamera(126, 63), 126),  # the size alone counts here
     )
     assert odd.halved() is None
-    assert np.isfinite(matched_depth(odd, None, 3, odd.depth[3], odd.scale.rays)).all()
+    assert np.isfinite(matched_depth(odd, None, 3, odd.scale.rays)).all()
 
 
 def test_only_what_others_see_too_is_confirmed(truth: PosedPanoramas) -> None:

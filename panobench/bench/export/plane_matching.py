@@ -51,7 +51,7 @@ class Pass:
 
 
 COARSE = (Pass(8, 4, 0.1, 0.4), Pass(8, 4, 0.05, 0.2))
-FINE = (Pass(4, 3, 0.02, 0.2),)
+FINE = (Pass(8, 3, 0.02, 0.2), Pass(4, 3, 0.005, 0.1))
 
 
 class PlaneField:
@@ -60,7 +60,7 @@ class PlaneField:
     def __init__(self, views: PosedPanoramas, k: int, others: list[int], seed: int = 0, spacing: int = SPACING) -> None:
         T = np.stack([invert_pose(views.T_wc[j]) @ views.T_wc[k] for j in others]).astype(np.float32)
         self.planes = np.full((*views.depth.shape[1:], 3), np.nan, np.float32)
-        self._cost = np.full(views.depth.shape[1:], np.inf, np.float32)
+        self.cost = np.full(views.depth.shape[1:], np.inf, np.float32)
         self._rays, self._scale, self._seed = views.scale.rays, views.scale, seed
         self._view = (
             views.luma[k], self._rays, padded(views.luma[others], wrap=True),
@@ -72,7 +72,7 @@ class PlaneField:
 
     def offer(self, planes: Float) -> None:
         """Planes (H, W, 3), NaN for none: those that frames agree better on are taken."""
-        try_planes(np.ascontiguousarray(planes, np.float32), *self._view, self.planes, self._cost)
+        try_planes(np.ascontiguousarray(planes, np.float32), *self._view, self.planes, self.cost)
 
     def offer_depth(self, depth: Float) -> None:
         """The same for a depth (H, W), along its surface."""
@@ -89,7 +89,7 @@ class PlaneField:
                 self._seed += 1
                 propagate(
                     *self._view, self._limits, one.neighbours, one.tries, changes, colour, self._seed,
-                    self.planes.copy(), self.planes, self._cost,
+                    self.planes.copy(), self.planes, self.cost,
                 )  # fmt: skip
 
     def smooth(self) -> None:
@@ -116,30 +116,22 @@ class PlaneField:
         return np.where(np.isfinite(depth) & (depth > 0), depth, np.nan).astype(np.float32)
 
 
-def matched_depth(
-    views: PosedPanoramas, coarse: PosedPanoramas | None, k: int, start: Float, rays: Float, seed: int = 0
-) -> Float:
+def matched_depth(views: PosedPanoramas, coarse: PosedPanoramas | None, k: int, rays: Float, seed: int = 0) -> Float:
     """Radial depth (h, w) of view ``k`` along the unit rays (h, w, 3) of a panorama, NaN where no frame says anything.
 
-    coarse: the views at half the size, if they have one. start (h, w): a depth to begin with beside that of ``views``,
-    NaN where unknown; without parallax, it is the answer.
+    It begins at the depth of ``views``. coarse: the views at half the size, if they have one.
     """
     others = far_others(views, k)
-    if not others:
-        return start
-    resized = np.asarray(cv2.resize(start, views.depth.shape[:0:-1], interpolation=cv2.INTER_NEAREST), np.float32)
-    first: Float = np.where(np.isfinite(resized), resized, views.depth[k])
     field = PlaneField(views, k, others, seed)
     if coarse is not None:
         small = PlaneField(coarse, k, others, seed)
-        for depth in (coarse.depth[k], first[::2, ::2]):
-            small.offer(coarse.scale.rays / depth[..., None])
-            small.offer_depth(depth)
+        small.offer(coarse.scale.rays / coarse.depth[k][..., None])
+        small.offer_depth(coarse.depth[k])
         small.improve(COARSE)
         field.offer(small.planes.repeat(2, axis=0).repeat(2, axis=1))
     else:
-        field.offer(views.scale.rays / first[..., None])
-    field.offer_depth(first)
+        field.offer(views.scale.rays / views.depth[k][..., None])
+    field.offer_depth(views.depth[k])
     field.improve(FINE if coarse is not None else (*COARSE, *FINE))
     field.smooth()
     return field.depth(rays)

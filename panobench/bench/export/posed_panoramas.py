@@ -1,4 +1,4 @@
-"""Panoramas of a run with their poses and the depth of its map, and how well frames agree on a depth."""
+"""Panoramas of a run with their poses and a depth, at first that of its map."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import invert_pose
 from panobench.photometric.pyramid import halve, luma_of_frame, pyramid
 from panobench.photometric.stereo import WorkingScale
-from panobench.photometric.sweep import reprojection_error
 
 if TYPE_CHECKING:
     from panobench.bench.views import ChosenFrames
@@ -23,10 +21,6 @@ Array = NDArray[np.float64]
 
 #: Frames that one is compared with, and their distances from it over the scene's median depth.
 OTHERS, NEAREST, FARTHEST = 7, 0.05, 0.7
-#: Differences of luma (of 1) are cut here.
-TRUNCATION = 0.1
-#: The part of the others with the least differences counts: the rest may be hidden.
-VISIBLE = 0.7
 
 
 @dataclass(frozen=True)
@@ -69,26 +63,6 @@ class PosedPanoramas:
     def rays(self, k: int) -> Array:
         """Unit rays (H, W, 3) of view ``k`` in the world."""
         return np.asarray(self.scale.rays, np.float64) @ self.T_wc[k, :3, :3].T
-
-    def difference(self, k: int, depth: Float, window: int = 5) -> Float:
-        """(H, W): mean difference of luma between view ``k`` at a depth (H, W; NaN: none) and those that see it best.
-
-        window: pixels, a square over which each view's differences are averaged first.
-        """
-        s, others = self.scale, self.others(k)
-        found = np.full((len(others), *depth.shape), TRUNCATION, np.float32)
-        wanted = np.ascontiguousarray(depth, np.float32)
-        for out, j in zip(found, others):
-            T = (invert_pose(self.T_wc[j]) @ self.T_wc[k]).astype(np.float32)[None]
-            R, t = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
-            error = np.empty(depth.shape, np.float32)
-            reprojection_error(
-                self.luma[k], s.rays, self.luma[j][None], R, t, wanted, s.code, s.cam, np.float32(TRUNCATION), error
-            )
-            error[~np.isfinite(error)] = TRUNCATION
-            out[:] = cv2.blur(error, (window, window))
-        best = max(1, round(VISIBLE * len(others)))
-        return np.asarray(np.partition(found, best - 1, axis=0)[:best].mean(axis=0), np.float32)
 
 
 def posed_panoramas(
