@@ -153,11 +153,11 @@ def sphere_block(buf, n, R, t, near, low, sloped, latlon):  # type: ignore[no-un
 
 
 @njit(**JIT)
-def _box_latlon(buf, j, W, H, shift):  # type: ignore[no-untyped-def]
+def _box_latlon(buf, j, W, H):  # type: ignore[no-untyped-def]
     """First and last row and column of slot j's footprint in a panorama; columns may run past either edge."""
     south, north, half, lon = buf[j + _SOUTH], buf[j + _NORTH], buf[j + _HALF_WIDTH], buf[j + _LON]
-    r0 = max(int(np.ceil(H * (0.5 - north / np.pi) + shift - 0.5 - 1e-3)), 0)
-    r1 = min(int(np.floor(H * (0.5 - south / np.pi) + shift - 0.5 + 1e-3)), int(H) - 1)
+    r0 = max(int(np.ceil(H * (0.5 - north / np.pi) - 0.5 - 1e-3)), 0)
+    r1 = min(int(np.floor(H * (0.5 - south / np.pi) - 0.5 + 1e-3)), int(H) - 1)
     if half >= _PI:
         return r0, r1, 0, int(W) - 1
     u, half = W * (0.5 + lon / (2 * np.pi)) - 0.5, half * W / (2 * np.pi) + 1e-3
@@ -201,7 +201,7 @@ def store_block(buf, n, k0, bound, intr, colours, footprints, rows, cols, key): 
         if buf[j + _SEEN] == _F0:
             continue
         if bound == BOUND_LATLON:
-            box = _box_latlon(buf, j, W, H, intr[CAM.cy])
+            box = _box_latlon(buf, j, W, H)
         elif bound == BOUND_PINHOLE:
             box = _box_pinhole(buf, j, intr)
         else:

@@ -22,7 +22,7 @@ from panobench.kernels.columns import FOOTPRINT_COLUMNS, MOMENT, PARAMETER, PARA
 from panobench.splat import binning, blend, chain, project
 from panobench.splat.backend import renderer_on
 from panobench.splat.gaussians import F32, GaussianMap
-from panobench.splat.view import CONIC_ERP, Projection, RowField, View, has_fields, make_view
+from panobench.splat.view import CONIC_ERP, Projection, View, make_view
 
 if TYPE_CHECKING:
     from panobench.gpu.device import Device
@@ -210,8 +210,8 @@ class Renderer:
     projection: "sphere" (exact on the tangent plane, for every camera), "erp" or "pinhole" (first order).
     low_pass: variance added to every footprint, pixels^2. near: Gaussians closer than this are not drawn, in the map's
     unit. stop: transmittance at which a tile is finished. threads: None for Numba's setting; images do not depend on
-    their number, gradients only through rounding. device: what draws, None for the CPU. row_field: see ``fields``.
-    Raises UnsupportedError where it cannot draw the camera.
+    their number, gradients only through rounding. device: what draws, None for the CPU. Raises UnsupportedError where
+    it cannot draw the camera.
     """
 
     def __init__(
@@ -223,9 +223,8 @@ class Renderer:
         stop: float = 1e-4,
         threads: int | None = None,
         device: Device | None = None,
-        row_field: RowField | None = None,
     ) -> None:
-        view = make_view(camera, projection, row_field)
+        view = make_view(camera, projection)
         wrap = float(camera.width) if view.projection == CONIC_ERP else 0.0
         self.camera, self.device = camera, device
         self._settings = _Settings(view, low_pass, near, stop, threads or get_num_threads(), wrap)
@@ -234,14 +233,6 @@ class Renderer:
     @property
     def view(self) -> View:
         return self._settings.view
-
-    def fields(self) -> tuple[Renderer, Renderer] | None:
-        """Renderers of the even and of the odd rows of its images (H / 2, W); None where these are not drawn apart."""
-        s = self._settings
-        if self.device is not None or not has_fields(s.view):
-            return None
-        even, odd = (Renderer(self.camera, "sphere", s.low_pass, s.near, s.stop, s.threads, None, f) for f in (0, 1))
-        return even, odd
 
     def forward(
         self,

@@ -86,9 +86,6 @@ class RigRenderer(Renderer):
             for share in self._shares
         ]
 
-    def fields(self) -> None:
-        """A rig's rows are drawn together."""
-
     def forward(self, gaussians: GaussianMap, T_wc: Array, **wanted: Any) -> RigRender:
         """Render from the rig's pose ``T_wc`` (4, 4); options as for ``Renderer.forward``."""
         centres = self.lenses.centres

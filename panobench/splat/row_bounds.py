@@ -83,14 +83,14 @@ def _bounds(buf, j, half):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def _rows_latlon(buf, n, half, H, shift):  # type: ignore[no-untyped-def]
-    """First and last row, as floats, in a panorama of H rows, ``shift`` of them further down."""
+def _rows_latlon(buf, n, half, H):  # type: ignore[no-untyped-def]
+    """First and last row, as floats, in a panorama of H rows."""
     bend = _F1 / np.sqrt(_F1 + half * half)
     for j in range(np.uint64(n)):
         least, largest = _bounds(buf, j, half)
         least, largest = least * (_F1 if least < _F0 else bend), largest * (bend if largest < _F0 else _F1)
-        buf[j + _FIRST] = H * (atan2_fast(least, _F1) * _INV_PI + _HALF) + shift
-        buf[j + _LAST] = H * (atan2_fast(largest, _F1) * _INV_PI + _HALF) + shift
+        buf[j + _FIRST] = H * (atan2_fast(least, _F1) * _INV_PI + _HALF)
+        buf[j + _LAST] = H * (atan2_fast(largest, _F1) * _INV_PI + _HALF)
 
 
 @njit(**JIT)
@@ -120,7 +120,7 @@ def row_bounds(which, columns, footprints, rows, bound, axes, half, intr, first,
             buf[j + _CUT] = footprints[k, F.cut]
             buf[j + _AX], buf[j + _AZ], buf[j + _XX], buf[j + _XZ] = axes[c, 0], axes[c, 1], axes[c, 2], axes[c, 3]
         if bound == BOUND_LATLON:
-            _rows_latlon(buf, n, half, H, np.float32(intr[CAM.cy]))
+            _rows_latlon(buf, n, half, H)
         else:
             _rows_pinhole(buf, n, half, np.float32(intr[CAM.fy]), np.float32(intr[CAM.cy]))
         for j in range(n):

@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.errors import UnsupportedError
-from panobench.kernels.columns import CAM
 
 #: Size of a tile in pixels: one row of it is one AVX-512 register, or two of AVX2.
 TILE_W, TILE_H = 16, 16
 Projection = Literal["sphere", "erp", "pinhole"]
-#: The even or the odd rows of an image, as in interlaced video.
-RowField = Literal[0, 1]
 #: Kernel codes of the projections.
 SPHERE, CONIC_ERP, CONIC_PINHOLE = 0, 1, 2
 #: How a footprint is bounded: by latitude and longitude (panoramas), by a rectangle of pixels (first-order
@@ -37,8 +34,7 @@ class View:
     column_axes (tiles_x, 4) float32: x and z of the directions a and x of each column of tiles, see ``row_bounds``;
     (0, 4) for cameras without columns that a plane can hold. column_half: largest |X| of a pixel in a column.
     tiles (K,) int32: the tiles with a valid pixel, which are drawn; in a panorama of limited view the others are not.
-    intrinsics (8,): see ``kernels.columns.CameraColumns``; cy of a panorama is 0, or how far a field's rows are moved
-    down. pixel_angle: radians that one pixel spans.
+    intrinsics (8,): see ``kernels.columns.CameraColumns``. pixel_angle: radians that one pixel spans.
     """
 
     width: int
@@ -62,12 +58,11 @@ class View:
         return -(-self.height // TILE_H)
 
 
-def make_view(camera: Camera, projection: Projection = "sphere", row_field: RowField | None = None) -> View:
+def make_view(camera: Camera, projection: Projection = "sphere") -> View:
     """Tables for rendering ``camera``. Raises UnsupportedError for a projection the camera does not have.
 
     "sphere" serves every camera. "erp" is the first-order projection of an ErpCamera, as in the PanoGS-SLAM paper;
-    "pinhole" that of an undistorted PinholeCamera, as in 3DGS. row_field: draw these rows alone, and not the whole
-    image; only with ``has_fields``.
+    "pinhole" that of an undistorted PinholeCamera, as in 3DGS.
     """
     W, H = camera.width, camera.height
     intrinsics = np.array([W, H, 0, 0, 0, 0, 0, 0], dtype=np.float64)
@@ -76,11 +71,6 @@ def make_view(camera: Camera, projection: Projection = "sphere", row_field: RowF
         intrinsics[2:] = [fx, fy, cx, cy, 0.65 * W / fx, 0.65 * H / fy]
     if projection == "sphere":
         rays = np.nan_to_num(camera.rays()).transpose(2, 0, 1).astype(np.float32)
-        if row_field is not None:
-            rays, H = rays[:, row_field::2], H // 2
-            # Row v of a field is row 2 v + row_field of the image, whose centre is half a pixel below its number.
-            intrinsics[CAM.height], intrinsics[CAM.fy] = H, 0.5 * intrinsics[CAM.fy]
-            intrinsics[CAM.cy] = 0.5 * intrinsics[CAM.cy] + 0.25 - 0.5 * row_field
         pinhole = camera.kind == "pinhole" and not any(getattr(camera, "distortion", ()) or ())
         bound = BOUND_LATLON if camera.kind == "erp" else BOUND_PINHOLE if pinhole else BOUND_CONES
         code = SPHERE
@@ -95,14 +85,8 @@ def make_view(camera: Camera, projection: Projection = "sphere", row_field: RowF
     angle = 2 * np.pi / W if camera.kind == "erp" else _pixel_angle(camera)
     cones = _tile_cones(rays) if bound == BOUND_CONES else np.zeros((0, 4), np.float32)
     axes, half = _columns(bound, intrinsics)
-    valid = camera.valid_mask()
-    tiles = _tiles_of(valid if row_field is None else valid[row_field::2])
+    tiles = _tiles_of(camera)
     return View(W, H, code, bound, np.ascontiguousarray(rays), cones, axes, half, tiles, intrinsics, angle)
-
-
-def has_fields(view: View) -> bool:
-    """Whether even and odd rows of a view can be drawn apart."""
-    return view.projection == SPHERE and view.height % 2 == 0
 
 
 def _columns(bound: int, intrinsics: NDArray[np.float64]) -> tuple[NDArray[np.float32], np.float32]:
@@ -120,8 +104,9 @@ def _columns(bound: int, intrinsics: NDArray[np.float64]) -> tuple[NDArray[np.fl
     return axes.astype(np.float32), np.float32(1.002 * half)
 
 
-def _tiles_of(valid: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _tiles_of(camera: Camera) -> NDArray[np.int32]:
     """Numbers (K,) of the tiles that hold a valid pixel."""
+    valid = camera.valid_mask()
     rows, columns = np.arange(0, valid.shape[0], TILE_H), np.arange(0, valid.shape[1], TILE_W)
     some = np.logical_or.reduceat(np.logical_or.reduceat(valid, rows, axis=0), columns, axis=1)
     return np.flatnonzero(some).astype(np.int32)

@@ -265,13 +265,11 @@ class MappingOptions(Options):
     culling_px: float = option(
         0.01, "summed weight below which a view's steps leave a Gaussian out; 0: draw all", unit="px"
     )
-    interlaced: bool = option(True, "a step sees the even or the odd rows of a view, where these can be drawn apart")
-    final_iterations: int = option(20, "steps per keyframe at the end, on all views, with falling rates")
+    final_iterations: int = option(15, "steps per keyframe at the end, on all views, with falling rates")
     final_rounds: int = option(
         1, "rounds of such steps, at most, each twice as long as the one before; more than 1: while views left out gain"
     )
     final_gain: float = option(0.05, "least that the pictures of these views must gain for another round", unit="dB")
-    final_start: float = option(1.5, "learning rates at the start of these steps over the usual ones", above=0)
     final_rate: float = option(0.1, "learning rates at the end of these steps over those at the start", above=0)
 
 
@@ -355,7 +353,7 @@ PAPER: dict[str, Any] = {
     "rates.beta2": 0.999,
 }
 #: For those who want the trajectory soon and a sketch of the map.
-FAST: dict[str, Any] = {"mapping.iterations": 5, "mapping.final_iterations": 4}
+FAST: dict[str, Any] = {"mapping.iterations": 5, "mapping.final_iterations": 3}
 #: For those who want the best pictures, and can wait: the map is trained until they stop getting better.
-BEST: dict[str, Any] = {"mapping.final_iterations": 40, "mapping.final_rounds": 3}
+BEST: dict[str, Any] = {"mapping.final_iterations": 30, "mapping.final_rounds": 3}
 PRESETS: dict[str, dict[str, Any]] = {"paper": PAPER, "fast": FAST, "best": BEST}

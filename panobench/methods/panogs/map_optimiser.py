@@ -46,7 +46,6 @@ class MapOptimiser:
         self.weights = pixel_weights(camera, config.rendering.weights)
         m = config.moving
         self.transients = Transients(self.weights, m.error, m.share if m.enabled else 1.0, camera.kind == "erp")
-        self._fields = renderer.fields() if config.mapping.interlaced else None
         self.sharpness = Sharpness(camera, config.mapping.blurred_below)
         self.window: list[View] = []
         self.scene_depth = 1.0
@@ -150,11 +149,11 @@ class MapOptimiser:
         At constant rates single-view steps never converge: what one view wants, the next one takes back. Nothing is
         tracked on the map any more, so discs may leave their plane freely.
         """
-        o, views = self.options, self.views() if views is None else views
+        views = self.views() if views is None else views
         views = self._fewer_blurred(views) or views
         order = [int(i) for _ in range(iterations // max(len(views), 1) + 1) for i in self.rng.permutation(len(views))]
         for k, i in enumerate(order[:iterations]):
-            share = o.final_start * o.final_rate ** (k / iterations)
+            share = self.options.final_rate ** (k / iterations)
             self.step(views[i], refine_pose=False, rates=self.rates(share, hold_plane=False))
         self.prune()
 
@@ -163,28 +162,20 @@ class MapOptimiser:
     def step(self, view: View, refine_pose: bool, rates: LearningRates | None = None) -> float:
         """One render, one backward pass and one Adam step on the Gaussians that the view touches; returns the loss.
 
-        It sees the even or the odd rows of the view, as chance will have it, where these are drawn apart: two such
-        steps are worth more than one on all rows. The first keyframe's pose stays: it is the world frame.
+        The first keyframe's pose stays: it is the world frame.
         """
         o, z = self.options, self.scene_depth
         hidden = view.culling.hidden(self.map.ids) if o.culling_px else None
-        renderer, field = self.renderer, None
-        if self._fields and not self.transients.active:  # what is contradicted is looked for in whole images
-            field = int(self.rng.integers(2))
-            renderer = self._fields[field]
-        render = renderer.forward(
+        render = self.renderer.forward(
             self.map.gaussians, view.T_wc, culled=hidden, sum_weights=o.culling_px > 0 and hidden is None
         )
-        self.update_culling(view, render, 1.0 if field is None else 0.5)
+        self.update_culling(view, render)
+        # Where there are no Gaussians yet, the loss would make the neighbours spread.
+        opaque = 0.5 if self.config.fixed_lag.sweep else None
         weights = self.weights if view.visible is None else self.weights * view.visible
         if self.transients.active:
             weights = weights * ~self.transients.contradicted(view.image, render, view.visible)
-        image = view.image
-        if field is not None:
-            image, weights = np.ascontiguousarray(image[field::2]), 2 * weights[field::2]
-        # Where there are no Gaussians yet, the loss would make the neighbours spread.
-        opaque = 0.5 if self.config.fixed_lag.sweep else None
-        target = Target(image, weights, view.gain, view.offset, self.config.rendering.knee, opaque)
+        target = Target(view.image, weights, view.gain, view.offset, self.config.rendering.knee, opaque)
         isotropy = o.isotropy / max(3 * render.drawn, 1)
         sizes = (SMALLEST * z, self.config.density.largest * z)
         loss, pose = self.map.adam.photometric_step(render, target, rates or self.rates(), isotropy, sizes)
@@ -194,13 +185,10 @@ class MapOptimiser:
             view.T_wc = invert_pose(view.pose_adam.step(invert_pose(view.T_wc), pose, pose_rates))
         return loss
 
-    def update_culling(self, view: View, render: Render, rows: float = 1.0) -> None:
-        """Remember what ``view`` can leave out, if ``render`` is of the whole map at the view and has weights.
-
-        rows: the share of the view's rows that it shows. No Gaussian is so small that half of them would miss it.
-        """
+    def update_culling(self, view: View, render: Render) -> None:
+        """Remember what ``view`` can leave out, if ``render`` is of the whole map at the view and has weights."""
         if render.weights is not None:
-            view.culling.update(self.map.ids, render.weights, self.options.culling_px * rows)
+            view.culling.update(self.map.ids, render.weights, self.options.culling_px)
 
     def forget_image(self, view: View) -> None:
         """Drop a view's image; no step is done on it any more."""

@@ -15,13 +15,7 @@ from panobench.methods.base import MethodContext
 from panobench.methods.panogs.method import PanogsMethod
 from panobench.types import Estimate, Frame
 
-CONFIG = configured(
-    mapping__iterations=4,
-    start__iterations=8,
-    mapping__steps_per_frame=1,
-    mapping__final_iterations=2,
-    mapping__interlaced=False,  # a device draws whole images
-)
+CONFIG = configured(mapping__iterations=4, start__iterations=8, mapping__steps_per_frame=1, mapping__final_iterations=2)
 
 
 def run(device: Device | None) -> tuple[PanogsMethod, Estimate]:
