@@ -72,12 +72,17 @@ class InertialStage:
         if self.enabled:
             self.times[index] = time_s
 
-    def expect(self, time_s: float) -> Array | None:
-        """T_wc (4, 4) at which the next frame is expected in the present map, None if nothing is known."""
+    def expect(self, time_s: float, *, lost: bool = False) -> Array | None:
+        """T_wc (4, 4) at which the next frame is expected in the present map, None if nothing is known.
+
+        lost: its ``heading`` will do where no more is known.
+        """
         if self.predictor is None:
             return None
         began = time.perf_counter()
         T_wc = self.predictor.expect(time_s)
+        if T_wc is None and lost:
+            T_wc = self.predictor.heading(time_s)
         self.seconds += time.perf_counter() - began
         return T_wc
 

@@ -1,6 +1,7 @@
 """Numba's decorator and one set of options for all kernels.
 
-Kernels take ``njit`` from here, and not from Numba, so that one that is in the cache is not loaded once it is stale.
+Kernels take ``njit`` from here, and not from Numba, so that one that is in the cache is not loaded once it is stale,
+and processes that fill the cache at once do not mix their kernels up.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from typing import Any
 import numba
 from numba import njit, prange
 
+from panobench.kernels.cache_lock import guard_cache
 from panobench.kernels.stamp import stamp_by_imports
 
 # Prefer OpenMP even where a machine happens to have TBB, whose workers also spin for a while after each kernel.
 if "NUMBA_THREADING_LAYER_PRIORITY" not in os.environ:
     numba.config.THREADING_LAYER_PRIORITY = ["omp", "tbb", "workqueue"]  # type: ignore[attr-defined]
 
+guard_cache()
 stamp_by_imports()
 __all__ = ["INLINE", "INLINE_FINITE", "JIT", "JIT_FINITE", "PARALLEL", "njit", "prange"]
 

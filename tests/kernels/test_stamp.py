@@ -55,3 +55,9 @@ def test_no_kernel_takes_numbas_own_decorator() -> None:
     direct = re.compile(r"^from numba import .*\bnjit\b|\bnumba\.njit\b", re.M)
     found = {p.relative_to(ROOT).as_posix() for p in ROOT.rglob("*.py") if direct.search(p.read_text("utf-8"))}
     assert found == {"kernels/jit.py"}
+
+
+def test_processes_save_one_kernel_at_a_time() -> None:
+    from numba.core.caching import IndexDataCacheFile
+
+    assert hasattr(IndexDataCacheFile.save, "__wrapped__")

@@ -140,9 +140,7 @@ class PanogsMethod(OnlineMethod):
         """Track, judge, record, map, next job."""
         began = time.perf_counter()
         gaussians = self.mapper.map.gaussians
-        expected = self.inertial.expect(frame.time)
-        if expected is None and self.phase is Phase.LOST:
-            expected = self.inertial.heading(frame.time)
+        expected = self.inertial.expect(frame.time, lost=self.phase is Phase.LOST)
         frame, tracked = self._track(frame, expected)
         trusted = self.relocaliser.judge(tracked, gaussians, self.trajectory.keyframes, expected)
         if trusted is None:
