@@ -164,16 +164,17 @@ def _known(value: float) -> float | None:
 
 
 def _row(label: str, at: Reached) -> dict[str, Any]:
+    """Without arrows: the pieces of a path do not compete, and none is the best."""
     return {
         "Run": label,
         "Frames": at.frames,
         "Path [m]": _known(at.path),
-        "ATE [mm] ↓": _scaled(at.ate, 1e3),
-        "Drift [% of the path] ↓": 100 * at.ate / at.path if at.ate is not None and at.path > 0 else None,
+        "ATE [mm]": _scaled(at.ate, 1e3),
+        "Drift [% of the path]": 100 * at.ate / at.path if at.ate is not None and at.path > 0 else None,
         "Scale": at.scale,
-        "Tracked [%] ↑": 100 * at.tracked,
-        "Time per frame [ms] ↓": _known(1e3 * at.latency),
-        "Memory [MiB] ↓": _known(at.memory),
+        "Tracked [%]": 100 * at.tracked,
+        "Time per frame [ms]": _known(1e3 * at.latency),
+        "Memory [MiB]": _known(at.memory),
     }
 
 

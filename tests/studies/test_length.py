@@ -68,7 +68,7 @@ def test_without_truth_there_are_time_and_memory(tmp_path: Path, monkeypatch: py
     assert set(result.figures) == {"time", "memory"}
     assert result.figures["memory"]["data"][1]["x"] == [20, 40, 60, 80, 100]
     assert len(result.tables["length"]) == 10
-    assert result.tables["length"][0]["ATE [mm] ↓"] is None
+    assert result.tables["length"][0]["ATE [mm]"] is None
     growth = result.tables["growth"][1]
     assert growth["Run"] == "panogs fast"
     assert growth["Time per frame, times ↓"] == pytest.approx(3.0)
