@@ -21,7 +21,7 @@ from panobench.splat.render import Render
 
 #: Blocks across the image; a block counts if it is known to the map and neither dark nor saturated.
 _BLOCKS = 32
-KNOWN, DARK, SATURATED = 0.9, 0.06, 0.97
+_KNOWN, DARK, SATURATED = 0.9, 0.06, 0.97
 #: Fewest blocks that give a gain.
 ENOUGH = 24
 RANGE = (0.2, 5.0)
@@ -64,7 +64,7 @@ class ExposureMatcher:
         """The frame for mapping, judged by its own render, which the next frame will be judged by."""
         if not self.enabled:
             return image
-        known = self._blocks(render.opacity) > KNOWN
+        known = self._blocks(render.opacity) > _KNOWN
         self._last = (self._blocks(render.planes.mean(axis=0)), known & (self.weights > 0))
         return self._corrected(image, self._last, self.options.least_after)
 

@@ -32,9 +32,10 @@ def find_again(
 
     heading (4, 4): T_wc that looks the way that a gyroscope says, and lies roughly where the camera is; None without.
     """
-    if heading is None:
-        return relocalise(aligner, pyramid, frame, rng)
-    tracked = _along_heading(aligner, pyramid, frame, heading) or relocalise(aligner, pyramid, frame, rng)
+    tracked = None if heading is None else _along_heading(aligner, pyramid, frame, heading)
+    if tracked is not None:
+        return tracked
+    tracked = relocalise(aligner, pyramid, frame, rng)
     return None if tracked is None or looks_elsewhere(invert_pose(tracked.T_cw), heading) else tracked
 
 
