@@ -12,6 +12,7 @@ import numpy as np
 
 from panobench.api import Run
 from panobench.bench.study_record import StudyResult
+from panobench.errors import UsageError
 from panobench.geometry import umeyama
 from panobench.metrics.alignment import match, moves
 from panobench.studies.base import StudyRequest
@@ -33,6 +34,11 @@ class LengthOptions(RunOptions):
     sequences: tuple[str, ...] = ("building-entry",)
     pieces: int = 10
     window: int = 20
+
+    def __post_init__(self) -> None:
+        for name in ("pieces", "window"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"study option {name}: must be at least 1")
 
 
 @dataclass(frozen=True)

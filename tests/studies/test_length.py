@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from panobench.errors import UsageError
 from panobench.geometry import make_pose
 from panobench.studies import length
 from panobench.studies.base import StudyRequest
@@ -73,3 +74,9 @@ def test_without_truth_there_are_time_and_memory(tmp_path: Path, monkeypatch: py
     assert growth["Run"] == "panogs fast"
     assert growth["Time per frame, times ↓"] == pytest.approx(3.0)
     assert growth["Memory per 100 frames [MiB] ↓"] == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("name", ["pieces", "window"])
+def test_nothing_to_look_at_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UsageError, match=f"study option {name}: must be at least 1"):
+        length.run(StudyRequest(tmp_path, options={name: "0"}))
