@@ -26,13 +26,15 @@ def assess(
     metrics: what the run's own map scored at the frames themselves. others: trajectories of other methods on the same
     frames, by name. rejected: why the run does not count anyway ("" if it does); the verdict is then "failed".
     """
-    opinions = [path.second_method(estimate.trajectory, t, name, given) for name, t in (others or {}).items()]
-    confirmed = any(opinion is not None and opinion.trust > CONFIRMED for opinion in opinions)
+    asked = others or {}
+    opinions = [path.second_method(estimate.trajectory, t, name, given) for name, t in asked.items()]
+    agreeing = [t for t, opinion in zip(asked.values(), opinions) if opinion is not None and opinion.trust > CONFIRMED]
     found: list[Evidence | None] = [
         path.coverage(len(estimate.trajectory), given),
-        path.steadiness(estimate.trajectory),
-        own.first_depth(estimate, confirmed=confirmed),
+        path.steadiness(estimate.trajectory, agreeing),
+        own.first_depth(estimate, confirmed=bool(agreeing)),
         own.agreement(estimate),
+        own.reprojection(estimate),
         steady_height(estimate),
         own.inertial(estimate),
         own.joined_maps(estimate),

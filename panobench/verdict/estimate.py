@@ -20,6 +20,9 @@ CONTRADICTED = 0.4
 BY_LOOKS = 0.4
 #: Median share of textured blocks in which frame and render agree.
 AGREEMENT_GOOD, AGREEMENT_BAD = 0.65, 0.35
+#: Median over the frames of their reprojection error, in pixels, that right runs stay below, and that no right run has;
+#: of images with at most so many pixels per radian (a panorama 512 wide). In finer ones, motion is more pixels.
+REPROJECTION_GOOD, REPROJECTION_BAD, REPROJECTION_FINE = 0.8, 1.4, 512 / (2 * np.pi)
 
 
 def first_depth(estimate: Estimate, *, confirmed: bool = False) -> Evidence | None:
@@ -83,5 +86,22 @@ def agreement(estimate: Estimate) -> Evidence | None:
     return Evidence(
         "agreement", falling(low, AGREEMENT_GOOD, AGREEMENT_BAD),
         f"in a quarter of the frames the map explains less than {100 * low:.0f}% of the picture",
+        "mask what moves with the camera (--mask), or record with less motion in view",
+    )  # fmt: skip
+
+
+def reprojection(estimate: Estimate) -> Evidence | None:
+    """How well one rigid scene explains the features, if the method says so per frame ("error_px").
+
+    ``extra`` "pixels_per_radian" is the resolution of what the features were found in, if the method says it.
+    """
+    errors = [row["error_px"] for row in estimate.frames.values() if "error_px" in row]
+    if len(errors) < 5:
+        return None
+    usual, resolution = float(np.median(errors)), estimate.extra.get("pixels_per_radian")
+    finer = max(resolution / REPROJECTION_FINE, 1.0) if isinstance(resolution, (int, float)) else 1.0
+    return Evidence(
+        "reprojection", falling(usual / finer, REPROJECTION_GOOD, REPROJECTION_BAD),
+        f"in half of the frames features are more than {usual:.1f} pixels from where the map has them",
         "mask what moves with the camera (--mask), or record with less motion in view",
     )  # fmt: skip

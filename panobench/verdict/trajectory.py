@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,10 @@ COVERAGE_BAD = 0.5
 JUMP, JUMP_BAD, AROUND = 4.0, 25.0, 15
 #: The same for both steps to a frame and back again. A camera that turns back goes by its usual steps.
 BESIDE, BESIDE_BAD = 1.3, 2.5
+#: Trust in a path that jumps at most, where a second method's path has the same jumps: the recording has them.
+SEEN_TWICE = 0.8
+#: Difference of the positions beside a jump, over its length, up to which two paths have the same jump.
+SAME_JUMP = 0.2
 #: Deviation of two methods' paths, over the path's length, that is as good as none, and that is as bad as it gets.
 AGREE, DISAGREE = 0.008, 0.03
 #: Frames that two trajectories must share to be compared, and the share of the frames given.
@@ -34,8 +40,12 @@ def coverage(tracked: int, given: int) -> Evidence:
     )  # fmt: skip
 
 
-def steadiness(trajectory: Trajectory) -> Evidence:
-    """Jumps: steps far longer than those around them; and single frames beside the path, there and back."""
+def steadiness(trajectory: Trajectory, confirming: Sequence[Trajectory] = ()) -> Evidence:
+    """Jumps: steps far longer than those around them; and single frames beside the path, there and back.
+
+    confirming: other methods' paths that agree with this one. What they have, too, is in the recording: frames that
+    are missing, or a part that begins again.
+    """
     if len(trajectory) < AROUND:
         return Evidence("steadiness", 1.0, "too few poses to look for jumps")
     moves = np.diff(trajectory.positions, axis=0) / np.diff(trajectory.times)[:, None]
@@ -52,10 +62,24 @@ def steadiness(trajectory: Trajectory) -> Evidence:
     what, trust, where, times = min(evidence, key=lambda e: e[1])
     if trust == 1.0:
         return Evidence("steadiness", 1.0, "the path has no jumps")
+    if any(_has_step(other, trajectory, where) for other in confirming):
+        trust = max(trust, SEEN_TWICE)
     return Evidence(
         "steadiness", trust, f"{what} at {trajectory.times[where + 1]:.2f} s, by {times:.1f} times the usual step",
         "look at the frames there: a cut, a blocked lens or a person close to the camera",
     )  # fmt: skip
+
+
+def _has_step(other: Trajectory, trajectory: Trajectory, step: int) -> bool:
+    """Whether another path of the same frames has the same step, after Sim(3) alignment."""
+    _, mine, theirs = np.intersect1d(trajectory.times, other.times, return_indices=True)
+    p, q = trajectory.positions, other.positions[theirs]
+    at = np.searchsorted(mine, [step, step + 1])
+    if at[1] >= len(mine) or not np.array_equal(mine[at], [step, step + 1]):
+        return False
+    moved = umeyama(q, p[mine]).apply_points(q[at])
+    own = p[step + 1] - p[step]
+    return bool(np.linalg.norm(moved[1] - moved[0] - own) < SAME_JUMP * np.linalg.norm(own))
 
 
 def _usual(speed: NDArray[np.float64]) -> NDArray[np.float64]:

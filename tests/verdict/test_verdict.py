@@ -74,6 +74,17 @@ def test_a_jump_is_named_with_its_time() -> None:
     assert steadiness(walk()).trust == 1.0
 
 
+def test_a_jump_that_a_second_method_has_too_is_in_the_recording() -> None:
+    T = walk().T_wc.copy()
+    T[30:, :3, 3] += [0.0, 0.8, 0.0]
+    jumps, moved = Trajectory(walk().times, T), Sim3(2.0, so3_exp(np.array([0.0, 1.0, 0.0])), np.ones(3))
+    same = Trajectory(walk().times, moved.apply_poses(T))
+    assert assess(Estimate(jumps), 60).word is not Word.TRUSTED
+    assert assess(Estimate(jumps), 60, others={"sparse": same}).word is Word.TRUSTED
+    assert steadiness(jumps, [walk()]).trust < 0.5
+    assert steadiness(jumps, [same.select(np.r_[0:20, 40:60])]).trust < 0.5  # it did not see it
+
+
 def test_a_frame_beside_the_path_is_named_with_its_time() -> None:
     T = walk().T_wc.copy()
     usual = float(np.linalg.norm(np.diff(walk().positions, axis=0), axis=1).max())
@@ -127,6 +138,15 @@ def test_what_the_map_does_not_explain_counts() -> None:
     rows = {i: {"agreement": 0.3 if i % 3 == 0 else 0.9} for i in range(30)}
     assert assess(Estimate(walk(), frames=rows), 60).word is not Word.TRUSTED
     assert assess(Estimate(walk(), frames={i: {"agreement": 0.9} for i in range(30)}), 60).word is Word.TRUSTED
+
+
+def test_features_that_do_not_fit_one_scene_are_a_doubt() -> None:
+    """A quarter of the frames may be bad: a glance at the hand."""
+    for usual, bad, word in ((0.5, 1.5, Word.TRUSTED), (1.2, 1.2, Word.DOUBTFUL)):
+        rows = {i: {"error_px": bad if i % 4 == 0 else usual} for i in range(40)}
+        verdict = assess(Estimate(walk(), frames=rows), 60)
+        assert verdict.word is word
+    assert "1.2 pixels" in verdict.reasons[0]
 
 
 def test_an_imu_that_contradicts_the_camera_is_a_doubt_and_one_that_agrees_or_is_no_help_is_none() -> None:

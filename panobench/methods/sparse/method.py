@@ -297,6 +297,7 @@ class SparseMethod(OnlineMethod):
             "maps": len(sessions),
             "loops": session.loops,
             "relocalised": session.relocalised,
+            "pixels_per_radian": round(focal, 1),
         }
         if self.config.final_ba > 0:
             everything = [k.number for k in m.keyframes]
