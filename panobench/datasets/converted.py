@@ -17,6 +17,10 @@ from panobench.datasets.wrapped import WrappedSequence
 from panobench.errors import UnsupportedError
 from panobench.types import Imu, NovelView, Trajectory
 
+#: A view is narrow if it takes at most this share of a panorama's columns, and worth a remark if its pictures have this
+#: many times as many.
+NARROW, SPARE = 0.5, 1.5
+
 
 class ConvertedSequence(WrappedSequence):
     """``source`` seen by ``camera``, whose axes are the source's rotated by ``R_target_source``.
@@ -97,7 +101,8 @@ class ConvertedSequence(WrappedSequence):
 
     def remarks(self) -> list[str]:
         r = self.reprojector
-        return [*self.source.remarks(), *enlarged_remark(r.source, r.target, r.R_target_source)]
+        said = enlarged_remark(r.source, r.target, r.R_target_source) or narrow_remark(r.source, self.camera)
+        return [*self.source.remarks(), *said]
 
     def provenance(self) -> dict[str, Any]:
         return {
@@ -119,6 +124,22 @@ def enlarged_remark(source: Camera, target: Camera, R_target_source: NDArray[np.
         return []
     size = f"{source.width}x{source.height} to {target.kind} {target.width}x{target.height}"
     return [f"images are enlarged {factor:.1f} times or more ({size}), which blurs them; give a smaller --width"]
+
+
+def narrow_remark(source: Camera, target: Camera) -> list[str]:
+    """A line that says how few of a panorama's columns a narrow view gets, if it has pixels for more; else none.
+
+    target: with what the source covers as its mask.
+    """
+    seen = target.valid_mask()
+    columns = int(seen.sum(axis=1).max())
+    narrow = columns <= NARROW * target.width and columns * SPARE <= source.width
+    if target.kind != "erp" or source.kind == "erp" or not narrow:
+        return []
+    return [
+        f"the view takes {columns} of the panorama's {target.width} columns, its pictures have {source.width}; "
+        f"--camera {source.kind} gives it all of --width"
+    ]
 
 
 def seen_from(imu: Imu, reprojector: Reprojector) -> Imu:

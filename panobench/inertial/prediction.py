@@ -33,6 +33,9 @@ VELOCITY_S = 0.6
 RECKON_S, TURN_S = 6.0, 0.5
 #: The way a lost camera looks is known for so long; it is taken to go on at its last velocity for so long, s.
 HEADING_S, GLIDE_S = 20.0, 3.0
+#: How well a turn by the gyroscope is known: at best, what is left of its bias, and of its scale and mounting; its
+#: noise and the clock's uncertainty come on top. Degrees, degrees/s, and a share of the turn.
+TURN_SIGMA_DEG, DRIFT_DEG_S, TURN_SHARE = 0.02, 0.02, 0.003
 #: A camera looks at most so far from where it is expected to.
 HEADING_DEG = 5.0
 #: Most frames that a calibration looks at.
@@ -79,6 +82,21 @@ class Predictor:
         """T_wc (4, 4) of the next frame in the present map; None if nothing is known about it."""
         covered = self._covered(time, TURN_S if self.initial is None else RECKON_S)
         return None if covered is None else self._reckon(*covered, time)
+
+    def turn_sigma(self, time: float) -> float:
+        """Standard deviation per axis, rad, of the turn from the last frame with a pose until ``time``."""
+        rotation, last = self._known_rotation, self.tracked[-1].time
+        first, stop = np.searchsorted(self.samples.times, [last - rotation.offset_s, time - rotation.offset_s])
+        rates = np.linalg.norm(self.samples.gyro[max(first - 1, 0) : stop + 1] - rotation.bias, axis=1)
+        fastest, since = float(rates.max(initial=0.0)), time - last
+        parts = (
+            np.radians(TURN_SIGMA_DEG),
+            np.radians(DRIFT_DEG_S) * since,
+            self.samples.noise.gyro * np.sqrt(since),
+            TURN_SHARE * float(rates.mean() if len(rates) else 0.0) * since,
+            rotation.offset_sigma_s * fastest,
+        )
+        return float(np.linalg.norm(parts))
 
     def heading(self, time: float) -> Array | None:
         """T_wc (4, 4) of a camera that has been lost for a while; None if nothing is known about it.

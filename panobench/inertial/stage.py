@@ -86,6 +86,11 @@ class InertialStage:
         self.seconds += time.perf_counter() - began
         return T_wc
 
+    def turn_sigma(self, time_s: float) -> float:
+        """Standard deviation per axis, rad, of the rotation that ``expect`` said for this time."""
+        assert self.predictor is not None
+        return self.predictor.turn_sigma(time_s)
+
     def heading(self, time_s: float) -> Array | None:
         """T_wc (4, 4) of a lost camera: which way it looks, and roughly where; None if nothing is known."""
         if self.predictor is None:

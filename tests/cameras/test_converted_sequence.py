@@ -132,6 +132,15 @@ def test_a_limited_field_of_view_is_a_conversion_too() -> None:
     assert (converted.image(0)[~valid] == 0).all()
 
 
+def test_a_narrow_view_that_loses_its_pixels_in_a_panorama_is_said() -> None:
+    narrow = PinholeCamera.from_fov(256, 100, 84)
+    (said,) = ConvertedSequence(Toy(narrow), ERP).remarks()
+    assert "takes 70 of the panorama's 256 columns, its pictures have 256; --camera pinhole" in said
+    assert ConvertedSequence(Toy(PinholeCamera.from_fov(100, 100, 84)), ERP).remarks() == []  # no more pixels than that
+    pal = builtin_calibration("palvio_up").scaled(640)
+    assert ConvertedSequence(Toy(pal), ERP).remarks() == []  # all around
+
+
 def test_no_overlap_is_refused() -> None:
     narrow = PinholeCamera.from_fov(60, 60, 40)
     with pytest.raises(UnsupportedError, match="sees nothing"):

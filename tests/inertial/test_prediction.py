@@ -65,14 +65,16 @@ def test_a_turn_by_400_degrees_a_second_is_expected_though_the_camera_stood_stil
     recording = record(motion, 10.0, rate_hz=500.0)
     visual = seen(recording)
     found = predictor(recording, visual)
-    worst = 0.0
+    worst, sure = 0.0, 0.0
     for index, time in enumerate(recording.times):
         T = found.expect(float(time))
         if time > 5.0:
             assert T is not None
-            worst = max(worst, float(np.linalg.norm(so3_log(visual.T_wc[index][:3, :3].T @ T[:3, :3]))))
+            off = float(np.linalg.norm(so3_log(visual.T_wc[index][:3, :3].T @ T[:3, :3])))
+            worst, sure = max(worst, off), max(sure, found.turn_sigma(float(time)))
         found.record(index, float(time))
     assert np.degrees(worst) < 1.0
+    assert worst < 5 * sure < np.radians(3.0)
 
 
 @pytest.mark.parametrize("lost_s", [1.0, 6.0])

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from panobench.geometry import hat, se3_exp, so3_exp
+from panobench.geometry import hat, se3_exp, so3_exp, so3_log
 from panobench.methods.sparse.absolute import p3p, pose_ransac
 from panobench.methods.sparse.bundle import bundle_adjust
 from panobench.methods.sparse.descriptors import describe, match
 from panobench.methods.sparse.mapping import ray_distance
-from panobench.methods.sparse.pose import pose_errors, solve_pose
+from panobench.methods.sparse.pose import RotationPrior, pose_errors, solve_pose
 from panobench.methods.sparse.posegraph import Similarities, optimise_pose_graph
 from panobench.methods.sparse.twoview import decompose, epipolar_angle, essential_ransac, five_point, triangulate
 
@@ -128,6 +128,28 @@ def test_solve_pose_converges_from_far(rng):
     found = solve_pose(np.eye(4), X, b, 160.0, 1.0, 30)
     np.testing.assert_allclose(found, T, atol=1e-7)
     assert pose_errors(found, X, b, 160.0).max() < 1e-4
+
+
+def test_a_gyroscope_holds_the_rotation_of_a_narrow_view_but_not_against_many_points(rng):
+    T_cw = se3_exp([0.4, -0.02, 0.1, 0.02, -0.03, 0.01])
+
+    def wall(count, half):
+        return np.column_stack([rng.uniform(-half, half, (count, 2)), rng.uniform(2.5, 3.5, count)])
+
+    def turned(points, seen, prior=None):
+        b = unit(seen @ T_cw[:3, :3].T + T_cw[:3, 3])
+        T = solve_pose(T_cw, points, b, 107.0, 0.2, 15, None, prior)
+        return np.degrees(np.linalg.norm(so3_log(T[:3, :3] @ T_cw[:3, :3].T)))
+
+    def gyroscope(degrees):
+        return RotationPrior(so3_exp([0.0, np.radians(degrees), 0.0]) @ T_cw[:3, :3], np.radians(0.03))
+
+    X = wall(60, 1.5)
+    known_badly = X * (1 + 0.1 * X[:, :1])  # along the rays of an earlier view
+    assert turned(known_badly, X) > 1.0
+    assert turned(known_badly, X, gyroscope(0.02)) < 0.1
+    X = wall(200, 2.5)
+    assert turned(X, X, gyroscope(4.0)) < 0.3
 
 
 def _bundle(rng, cameras=6, points=80):

@@ -37,6 +37,7 @@ from panobench.methods.sparse.mapping import (
     renew_templates,
 )
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
+from panobench.methods.sparse.pose import RotationPrior
 from panobench.methods.sparse.refine import correct_shutter, refined_poses
 from panobench.methods.sparse.relocalise import find_again
 from panobench.methods.sparse.rig_faces import RigFaces, build_rig_faces
@@ -154,8 +155,9 @@ class SparseMethod(OnlineMethod):
         aligner = self._aligner(session)
         expected = self.inertial.expect(frame.time)
         heading = self.inertial.heading(frame.time) if expected is None else expected
-        for guess in self._guesses(session, expected):
-            tracked = track_frame(aligner, pyramid, renormalise(guess), frame.index, self.config.min_inliers)
+        for guess, prior in self._guesses(session, expected, frame.time):
+            few = self.config.min_inliers
+            tracked = track_frame(aligner, pyramid, renormalise(guess), frame.index, few, prior=prior)
             if tracked is not None and not looks_elsewhere(invert_pose(tracked.T_cw), heading):
                 return self._accept(session, pyramid, frame, tracked, recovered=session.lost > 0)
         tracked = find_again(aligner, pyramid, frame.index, self.rng, heading)
@@ -174,18 +176,22 @@ class SparseMethod(OnlineMethod):
             self.initialiser.reset()
         return None
 
-    def _guesses(self, session: Session, expected: Array | None) -> Iterator[Array]:
-        """Predicted poses T_cw, the most likely first. The costly ones are computed only when they are needed.
+    def _guesses(
+        self, session: Session, expected: Array | None, time_s: float
+    ) -> Iterator[tuple[Array, RotationPrior | None]]:
+        """Predicted poses T_cw, the most likely first, and what holds their rotation. The costly ones are computed only
+        when they are needed.
 
-        expected: T_wc by the IMU.
+        expected: T_wc by the IMU, whose rotation is a prior. Should no pose be found with it, none is held by it.
         """
         if expected is not None:
-            yield invert_pose(expected)
+            guess = invert_pose(expected)
+            yield guess, RotationPrior(guess[:3, :3], self.inertial.turn_sigma(time_s))
         if session.lost == 0:
-            yield session.velocity @ session.T_cw
-            yield make_pose(self.finder.rotation(), np.zeros(3)) @ session.T_cw
+            yield session.velocity @ session.T_cw, None
+            yield make_pose(self.finder.rotation(), np.zeros(3)) @ session.T_cw, None
         else:
-            yield session.T_cw
+            yield session.T_cw, None
 
     def _accept(
         self, session: Session, pyramid: Pyramid, frame: Frame, tracked: Tracked, recovered: bool = False

@@ -14,7 +14,7 @@ from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.lenses import Lenses
 from panobench.methods.sparse.patches import align_level
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, PointMap
-from panobench.methods.sparse.pose import pose_errors, solve_pose
+from panobench.methods.sparse.pose import RotationPrior, pose_errors, solve_pose
 
 Array = NDArray[np.float64]
 Pyramid = list[NDArray[np.uint8]]
@@ -147,10 +147,11 @@ def track_frame(
     frame: int,
     min_inliers: int,
     only: NDArray[np.int64] | None = None,
+    prior: RotationPrior | None = None,
 ) -> Tracked | None:
     """Pose of a frame near ``T_pred``, None with too few inliers. Updates the points' statistics.
 
-    only: the points to use; by default the whole map.
+    only: the points to use; by default the whole map. prior: what a gyroscope knows of the rotation.
     """
     m, face_set, config = aligner.map, aligner.face_set, aligner.config
     points = choose_points(m, face_set, T_pred, frame, only)
@@ -167,7 +168,8 @@ def track_frame(
         good = ok & active & (score > 0.6)
         if int(good.sum()) >= min_inliers:
             seen = bearings[good]
-            T = solve_pose(T_pred, m.position[points[good]], seen, face_set.focal, 4.0, 12, lenses.origins(seen))
+            X, begin = m.position[points[good]], lenses.origins(seen)
+            T = solve_pose(T_pred, X, seen, face_set.focal, 4.0, 12, begin, prior)
         # Points that the coarse level lost are predicted again with the better pose; candidates keep their measurement.
         fresh = predict(T, m.position[points], lenses)
         restart = active | ~ok | (score < 0.6)
@@ -183,13 +185,13 @@ def track_frame(
         return None
     X, b = m.position[points[use]], bearings[use]
     begin = lenses.origins(b)
-    T = solve_pose(T, X, b, face_set.focal, config.huber_px, 15, begin)
+    T = solve_pose(T, X, b, face_set.focal, config.huber_px, 15, begin, prior)
     error = pose_errors(T, X, b, face_set.focal, begin)
     inlier = error < 3.0 * max(1.0, config.huber_px)
     if int(inlier.sum()) < min_inliers:
         return None
     kept = None if begin is None else begin[inlier]
-    T = solve_pose(T, X[inlier], b[inlier], face_set.focal, config.huber_px, 10, kept)
+    T = solve_pose(T, X[inlier], b[inlier], face_set.focal, config.huber_px, 10, kept, prior)
     error = pose_errors(T, X, b, face_set.focal, begin)
     inlier = error < 3.0 * max(1.0, config.huber_px)
     # A pose that is slightly wrong also aligns some patches; the right one aligns most of them.
