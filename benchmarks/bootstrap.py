@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.bench.tables import text_table
+from panobench.bench.records.tables import text_table
 from panobench.cameras.factory import parse_camera_option
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.converted import ConvertedSequence
-from panobench.datasets.disturb import Disturbances, Disturber, roll_columns
 from panobench.datasets.open import open_sequence
+from panobench.datasets.synthetic.disturb import Disturbances, Disturber, roll_columns
+from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.geometry import invert_pose
 from panobench.types import DepthEstimate, Frame, Trajectory

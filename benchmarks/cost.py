@@ -21,11 +21,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.bench.provenance import available_cores, commit, cpu_model
-from panobench.bench.record import RunRecord, read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
-from panobench.bench.tables import text_table
+from panobench.bench.records.provenance import available_cores, commit, cpu_model
+from panobench.bench.records.record import RunRecord, read_record
+from panobench.bench.records.tables import text_table
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
 from panobench.writing import write_whole
 
 Array = NDArray[np.float64]

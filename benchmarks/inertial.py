@@ -20,8 +20,8 @@ import numpy as np
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.datasets.palvio_synth import BodyMotion
-from panobench.datasets.writer import write_sequence
+from panobench.datasets.palvio.synth import BodyMotion
+from panobench.datasets.writing.writer import write_sequence
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.inertial.samples import ImuNoise
 from panobench.rooms import render

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from panobench.bench.provenance import commit, cpu_model
+from panobench.bench.records.provenance import commit, cpu_model
 from panobench.methods.base import MethodContext
 from panobench.plugins import registry
 from panobench.specs import DepthSpec, MethodSpec
@@ -167,8 +167,8 @@ def shared_memory() -> list[str]:
 
 def leaks(options: argparse.Namespace) -> dict[str, Any]:
     """Runs one after another in this process; what is open after the first few and after all of them."""
-    from panobench.bench.request import RunRequest
-    from panobench.bench.runner import execute
+    from panobench.bench.run.request import RunRequest
+    from panobench.bench.run.runner import execute
 
     process, before = psutil.Process(), shared_memory()
     rows = []

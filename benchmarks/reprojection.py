@@ -25,8 +25,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from panobench.bench.provenance import available_cores, commit, cpu_model
-from panobench.bench.tables import text_table
+from panobench.bench.records.provenance import available_cores, commit, cpu_model
+from panobench.bench.records.tables import text_table
 from panobench.cameras.calibration import builtin_calibration
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from panobench.bench.masking import apply_mask, choose_mask
-from panobench.bench.request import RunRequest
-from panobench.bench.setup import open_input
-from panobench.bench.views import ChosenFrames
+from panobench.bench.run.masking import apply_mask, choose_mask
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.setup import open_input
+from panobench.bench.run.views import ChosenFrames
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.geometry import umeyama
 from panobench.types import DepthEstimate, Frame

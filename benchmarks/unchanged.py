@@ -25,9 +25,9 @@ from typing import Any
 
 from numba.core import event
 
-from panobench.bench.record import read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
+from panobench.bench.records.record import read_record
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
 
 #: Exit code of a process whose answer does not count.
 _COMPILED = 75

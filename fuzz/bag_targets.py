@@ -209,7 +209,7 @@ def _archives() -> Material:
 
 
 def _unpack(folder: Path) -> Parse:
-    from panobench.datasets.archive import unpack_into
+    from panobench.datasets.files.archive import unpack_into
 
     def parse(path: Path) -> None:
         target = folder / "inside" / "out"
@@ -224,7 +224,7 @@ def _unpack(folder: Path) -> Parse:
 
 
 def _time_list(folder: Path) -> Parse:
-    from panobench.datasets.image_times import image_times
+    from panobench.datasets.files.image_times import image_times
 
     images = [folder / f"{name}.png" for name in "abc"]
 

@@ -18,7 +18,7 @@ _SYNPANO = "frame_id image_name x y z qx qy qz qw\n" + "".join(
 
 
 def _synpano(folder: Path) -> Parse:
-    from panobench.datasets.synpano import SynPano
+    from panobench.datasets.formats.synpano import SynPano
 
     (folder / "images").mkdir()
     for i in range(3):
@@ -34,7 +34,7 @@ def _synpano(folder: Path) -> Parse:
 
 def _folder(file: str, other: dict[str, str]) -> Callable[[Path], Parse]:
     def setup(folder: Path) -> Parse:
-        from panobench.datasets.folder import Folder
+        from panobench.datasets.formats.folder import Folder
 
         (folder / "images").mkdir()
         for i in range(3):
@@ -66,20 +66,20 @@ body_T_cam: [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 
 
 def _parse_dual(path: Path) -> None:
-    from panobench.datasets.dual_fisheye import read_dual_fisheye
+    from panobench.datasets.formats.dual_fisheye import read_dual_fisheye
 
     read_dual_fisheye(path)
 
 
 def _palvio(folder: Path) -> Parse:
-    from panobench.datasets.palvio_calibration import find_calibration
+    from panobench.datasets.palvio.calibration import find_calibration
 
     (folder / "camera.yaml").write_text(_ERP)
     return lambda path: find_calibration(path.parent)
 
 
 def _parse_json_poses(path: Path) -> None:
-    from panobench.datasets.json_poses import read_json, rigid_matrix
+    from panobench.datasets.files.json_poses import read_json, rigid_matrix
 
     values = read_json(path)
     for name, matrix in values.items() if isinstance(values, dict) else ():
@@ -96,7 +96,7 @@ def _image_material() -> Material:
 
 
 def _parse_image(path: Path) -> None:
-    from panobench.datasets.images import read_image, read_size
+    from panobench.datasets.files.images import read_image, read_size
 
     size = read_size(path)
     assert read_image(path).shape == (size[1], size[0], 3)
@@ -129,7 +129,7 @@ def _npy_material() -> Material:
 
 
 def _parse_npy(path: Path) -> None:
-    from panobench.datasets.images import read_depth
+    from panobench.datasets.files.images import read_depth
 
     assert read_depth(path).ndim == 2
 

@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.bench.record import read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
-from panobench.datasets.trajectory_io import write_tum
+from panobench.bench.records.record import read_record
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
+from panobench.datasets.files.trajectory_io import write_tum
 from panobench.errors import PanobenchError
 from panobench.testing.sequences import TinySequence, erp_camera, rotating_pose
 from panobench.types import Trajectory

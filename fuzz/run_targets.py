@@ -55,9 +55,9 @@ _RUN: dict[str, object] = {
 
 def _run_json(folder: Path) -> Parse:
     """Everything that reads stored runs: the reader, the report's collector and tables, the gate, scoring again."""
-    from panobench.bench.compare import Rule, compare, load_runs
-    from panobench.bench.rescore import Protocol, rescore
-    from panobench.bench.store import Store
+    from panobench.bench.records.compare import Rule, compare, load_runs
+    from panobench.bench.records.rescore import Protocol, rescore
+    from panobench.bench.suite.store import Store
     from panobench.cli.suite import _row
     from panobench.report.collect import collect
     from panobench.report.exports import FORMATS
@@ -107,7 +107,7 @@ options: {width: 128, max_frames: 5, timeout_s: 9, memory_gib: 2, holdout: 4}
 
 
 def _parse_suite(path: Path) -> None:
-    from panobench.bench.suite_file import read_suite
+    from panobench.bench.suite.file import read_suite
 
     for cell in read_suite(path).cells[:50]:
         assert cell.label

@@ -23,7 +23,7 @@ _EUROC = "#timestamp [ns],x,y,z,qw,qx,qy,qz\n" + "".join(f"{i * 50_000_000},{i},
 
 
 def _parse_tum(path: Path) -> None:
-    from panobench.datasets.trajectory_io import read_tum
+    from panobench.datasets.files.trajectory_io import read_tum
 
     assert len(read_tum(path))
 

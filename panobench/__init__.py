@@ -17,8 +17,8 @@ __version__ = "0.1.0"
 
 _EXPORTS = {
     "panobench.api": ("Run", "Runs", "Score", "load", "run", "score"),
-    "panobench.bench.request": ("RunRequest",),
-    "panobench.bench.study_record": ("StudyResult",),
+    "panobench.bench.run.request": ("RunRequest",),
+    "panobench.bench.records.study_record": ("StudyResult",),
     "panobench.cameras.base": ("Camera",),
     "panobench.cameras.rig": ("Rig", "RigLens"),
     "panobench.datasets.base": ("Dataset", "FrameSequence", "Sequence"),

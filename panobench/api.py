@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.bench.cautions import cautions
-from panobench.bench.record import RunRecord, VerdictRecord, read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import MAP, RUN_JSON, folders_with
+from panobench.bench.records.cautions import cautions
+from panobench.bench.records.record import RunRecord, VerdictRecord, read_record
+from panobench.bench.records.runfolder import MAP, RUN_JSON, folders_with
+from panobench.bench.run.request import RunRequest
 from panobench.datasets.base import FrameSequence
 from panobench.errors import InputError, UnavailableError, UsageError
 from panobench.types import Estimate, RunStatus, Trajectory
@@ -69,7 +69,7 @@ class Run:
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """What to know before comparing it: words of ``panobench.bench.cautions.CAUTIONS``."""
+        """What to know before comparing it: words of ``panobench.bench.records.cautions.CAUTIONS``."""
         return cautions(self.record)
 
     @property
@@ -254,7 +254,7 @@ def run(out: Path | str | None = None, *, force: bool = False, progress: bool = 
     on. out: the run folder; a new one below runs/ by default. force: replace what is there. progress: a bar on
     standard error. Raises PanobenchError for what the caller can mend; nothing is written then.
     """
-    from panobench.bench.runner import execute
+    from panobench.bench.run.runner import execute
 
     try:
         request = RunRequest(**options)
@@ -298,9 +298,9 @@ def score(trajectory: Trajectory | Path | str, sequence: FrameSequence | Traject
     trajectory: poses at times of the sequence, or a TUM file of them. metric: its scale is metres, so that errors are
     measured without scale alignment as well. Raises InputError for a file that cannot be read or without ground truth.
     """
-    from panobench.bench.evaluate import judge
-    from panobench.bench.rescore import StoredSequence
-    from panobench.datasets.trajectory_io import read_tum
+    from panobench.bench.records.rescore import StoredSequence
+    from panobench.bench.run.evaluate import judge
+    from panobench.datasets.files.trajectory_io import read_tum
     from panobench.metrics.base import MetricInput
     from panobench.metrics.trajectory import trajectory_metrics
 

@@ -95,8 +95,8 @@ def one_run(method: str, options: dict[str, object], frames: int, folder: Path) 
 
 def child(request: str, folder: str) -> None:
     """Run without compiling anything ahead, and print the kernels that were called."""
-    from panobench.bench.request import RunRequest
-    from panobench.bench.runner import execute
+    from panobench.bench.run.request import RunRequest
+    from panobench.bench.run.runner import execute
     from panobench.kernels import ahead
     from panobench.kernels.signatures import spell
     from panobench.kernels.watch import CompileWatch

@@ -50,8 +50,8 @@ def test_the_map_renders_what_the_camera_saw(made: panobench.Run) -> None:
 
 
 def panobench_frame(i: int) -> np.ndarray:
-    from panobench.bench.request import RunRequest
-    from panobench.bench.setup import open_input
+    from panobench.bench.run.request import RunRequest
+    from panobench.bench.run.setup import open_input
 
     return (open_input(RunRequest(**TINY)).image(i) / 255).astype(np.float32)
 

@@ -12,6 +12,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import numba  # noqa: F401 - takes its folder from the environment once: before these tests change it
 import pytest
 
 import panobench

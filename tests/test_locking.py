@@ -14,7 +14,7 @@ import pytest
 
 from panobench import locking
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.writer import SequenceWriter
+from panobench.datasets.writing.writer import SequenceWriter
 from panobench.errors import PanobenchWarning, UsageError
 
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import pytest
 
-from panobench.bench.config import method_config, override
+from panobench.bench.run.config import method_config, override
 from panobench.errors import UnknownNameError, UsageError
 from panobench.options import OptionError, Options, describe_options, nearest_options, option, option_names
 from panobench.specs import MethodSpec

@@ -19,7 +19,7 @@ from panobench.capture.parts import Parts
 from panobench.capture.scene import RoomScene
 from panobench.capture.studio import ImageStudio, RoomStudio
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.rooms import CHUNK, RoomSequence
+from panobench.datasets.synthetic.rooms import CHUNK, RoomSequence
 from panobench.errors import DatasetError, UsageError
 from panobench.rooms import cache
 from panobench.rooms.options import RoomOptions

@@ -28,7 +28,7 @@ def compare(
     markdown: Annotated[bool, typer.Option("--markdown", help="Print Markdown, for a CI summary.")] = False,
 ) -> None:
     """Compare two sets of runs; exit code 1 on a regression."""
-    from panobench.bench import compare as gate
+    from panobench.bench.records import compare as gate
     from panobench.errors import InputError
 
     rules = [gate.Rule.parse(text) for text in fail_on or ()]
@@ -70,7 +70,7 @@ def _numbers(left: Any, right: Any) -> list[tuple[str, float | None, float | Non
 
 
 def _text(found: Any, rules: list[Any], markdown: bool) -> str:
-    from panobench.bench.tables import text_table
+    from panobench.bench.records.tables import text_table
 
     header = ["cell", "runs", "ok", "ATE mm", "", "fps", "", "PSNR dB", ""]
     rows = []

@@ -20,7 +20,7 @@ from panobench.errors import UsageError
 if TYPE_CHECKING:
     from panobench.cameras.base import Camera
     from panobench.datasets.base import FrameSequence
-    from panobench.datasets.export import Exporter, Target
+    from panobench.datasets.writing.export import Exporter, Target
 
 app = typer.Typer()
 
@@ -58,10 +58,10 @@ def convert(
     radial depth, ground truth moved into the target camera's frame, and the IMU. Generated sequences are
     rendered by the target camera. An interrupted conversion continues when the same command is run again.
     """
-    from panobench.datasets.export import ExportOptions, check_writable
     from panobench.datasets.given import Given
     from panobench.datasets.open import open_dataset
-    from panobench.datasets.writer import FORMATS
+    from panobench.datasets.writing.export import ExportOptions, check_writable
+    from panobench.datasets.writing.writer import FORMATS
 
     if image_format not in FORMATS:
         raise UsageError(f"--format {image_format}: choose one of {', '.join(FORMATS)}")
@@ -105,7 +105,7 @@ def _targets(
 ) -> list[Target]:
     """One target per view; the sequence's folder is named after the sequence and the view."""
     from panobench.cameras.factory import parse_camera_option
-    from panobench.datasets.export import Target
+    from panobench.datasets.writing.export import Target
 
     name = opened.name.replace("/", "-")
     chosen = _view_names(views) if views else _VIEWED.get(to, ())
@@ -125,8 +125,8 @@ def _sources(opened: FrameSequence, targets: list[Target]) -> list[tuple[FrameSe
     import numpy as np
 
     from panobench.cameras.factory import CameraChoice
-    from panobench.datasets.converted import enlarged_remark
-    from panobench.datasets.export import Target
+    from panobench.datasets.writing.converted import enlarged_remark
+    from panobench.datasets.writing.export import Target
 
     rendered = []
     for target in targets:
@@ -143,7 +143,7 @@ def _sources(opened: FrameSequence, targets: list[Target]) -> list[tuple[FrameSe
 def _convert_one(opened: FrameSequence, targets: list[Target], options: object, dry_run: bool, quiet: bool) -> None:
     from rich.console import Console
 
-    from panobench.datasets.export import Exporter, ExportOptions, free_bytes
+    from panobench.datasets.writing.export import Exporter, ExportOptions, free_bytes
 
     assert isinstance(options, ExportOptions)
     exporter = Exporter(opened, targets, options)

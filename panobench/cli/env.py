@@ -34,7 +34,7 @@ def environment() -> dict[str, Any]:
     """Everything about this installation, by heading. It works where torch, Numba or OpenCV cannot be imported."""
     import warnings
 
-    from panobench.bench.provenance import provenance
+    from panobench.bench.records.provenance import provenance
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # broken plugins are listed below

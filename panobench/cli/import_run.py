@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from panobench.bench.request import DEFAULT_DATASET, RunRequest, run_options
+from panobench.bench.run.request import DEFAULT_DATASET, RunRequest, run_options
 from panobench.cli.run_options import with_run_options
 
 if TYPE_CHECKING:
-    from panobench.bench.record import RunRecord
-    from panobench.bench.views import ChosenFrames
+    from panobench.bench.records.record import RunRecord
+    from panobench.bench.run.views import ChosenFrames
     from panobench.external.imported import ImportedTrajectory, ImportOptions
     from panobench.trajectories.matching import Placed
 
@@ -65,8 +65,8 @@ def import_run(
     as_json: Annotated[bool, typer.Option("--json", help="Print the run's run.json, and nothing else.")] = False,
 ) -> None:
     """Score a trajectory made elsewhere; the row is marked imported."""
-    from panobench.bench.record import read_record
-    from panobench.bench.runfolder import RUN_JSON
+    from panobench.bench.records.record import read_record
+    from panobench.bench.records.runfolder import RUN_JSON
     from panobench.cli.run import exit_code, summary
     from panobench.errors import UsageError
     from panobench.external.imported import ImportOptions
@@ -109,17 +109,17 @@ def score_import(
 
     Raises PanobenchError for a trajectory, renders or a sequence that cannot be used; nothing is written then.
     """
-    from panobench.bench.evaluate import evaluate
-    from panobench.bench.observer import Observer
-    from panobench.bench.provenance import provenance
-    from panobench.bench.record import TimingRecord
-    from panobench.bench.results import run_record, write_run
-    from panobench.bench.runfolder import LOG, RENDERS, PendingRun, check_free
-    from panobench.bench.runner import RunLog, default_folder
-    from panobench.bench.setup import RunSetup, open_input
-    from panobench.bench.tracking import track_batch
-    from panobench.bench.truth import align_clocks
-    from panobench.bench.views import held_out
+    from panobench.bench.records.provenance import provenance
+    from panobench.bench.records.record import TimingRecord
+    from panobench.bench.records.results import run_record, write_run
+    from panobench.bench.records.runfolder import LOG, RENDERS, PendingRun, check_free
+    from panobench.bench.run.evaluate import evaluate
+    from panobench.bench.run.observer import Observer
+    from panobench.bench.run.runner import RunLog, default_folder
+    from panobench.bench.run.setup import RunSetup, open_input
+    from panobench.bench.run.tracking import track_batch
+    from panobench.bench.run.truth import align_clocks
+    from panobench.bench.run.views import held_out
     from panobench.external.imported import ImportedTrajectory
     from panobench.methods.base import MethodContext
     from panobench.metrics.base import MetricInput
@@ -170,7 +170,7 @@ def score_import(
 
 def _path_alone(request: RunRequest, method: ImportedTrajectory, against: Path) -> tuple[RunRequest, ChosenFrames]:
     """Two trajectories without a data set: the frames are the poses of the other, as the run's data set "path"."""
-    from panobench.bench.views import ChosenFrames
+    from panobench.bench.run.views import ChosenFrames
     from panobench.cameras.erp import ErpCamera
     from panobench.external.imported import read_imported
     from panobench.trajectories.reading import read_poses
@@ -189,8 +189,8 @@ def _path_alone(request: RunRequest, method: ImportedTrajectory, against: Path) 
 
 def _mark(record: RunRecord, trajectory: Path, options: ImportOptions, placed: Placed) -> None:
     """Say where the trajectory came from, and how many of its poses were of use."""
-    from panobench.bench.record import ImportedRecord
-    from panobench.datasets.checksums import known_sha256
+    from panobench.bench.records.record import ImportedRecord
+    from panobench.datasets.files.checksums import known_sha256
 
     record.origin = "imported"
     record.imported = ImportedRecord(

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from panobench.bench.request import DEFAULT_DATASET, RunRequest
+from panobench.bench.run.request import DEFAULT_DATASET, RunRequest
 from panobench.cli.run import EXIT_INTERRUPTED, run_with_progress
 
 
@@ -30,8 +30,8 @@ def localize(
     as_json: Annotated[bool, typer.Option("--json", help="Print the run's run.json, and nothing else.")] = False,
 ) -> None:
     """Find the camera in a saved map; poses are in the map's frame, and frames that are not in it have none."""
-    from panobench.bench.record import read_record
-    from panobench.bench.runfolder import RUN_JSON, TRAJECTORY
+    from panobench.bench.records.record import read_record
+    from panobench.bench.records.runfolder import RUN_JSON, TRAJECTORY
 
     request = RunRequest(
         method="localise", root=str(source), dataset=dataset, sequence=sequence, camera=camera, width=width,

@@ -23,7 +23,7 @@ from panobench.cli.given_options import (
 from panobench.errors import UnsupportedError
 
 if TYPE_CHECKING:
-    from panobench.datasets.probe import Probe
+    from panobench.datasets.inspection.probe import Probe
 
 app = typer.Typer()
 
@@ -44,7 +44,7 @@ def probe(
 ) -> None:
     """Say what a path holds, what a run makes of it and what that costs, without running anything."""
     from panobench.datasets.given import Given
-    from panobench.datasets.probe import probe as look
+    from panobench.datasets.inspection.probe import probe as look
 
     given = Given(rate, calibration, topic, imu_topic, groundtruth_topic, layout)
     found = look(path, dataset=dataset, sequence=sequence, width=width, given=given)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from panobench.bench.observer import Observer
+from panobench.bench.run.observer import Observer
 from panobench.geometry import umeyama
 
 if TYPE_CHECKING:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from panobench.bench.request import RunRequest, run_options
+from panobench.bench.run.request import RunRequest, run_options
 from panobench.cli.run_options import with_run_options
 from panobench.errors import UsageError
 
 if TYPE_CHECKING:
-    from panobench.bench.record import FramesRecord, MaskRecord, RunRecord, VerdictRecord
+    from panobench.bench.records.record import FramesRecord, MaskRecord, RunRecord, VerdictRecord
 
 app = typer.Typer()
 EXIT_NOT_OK, EXIT_NOT_TRUSTED, EXIT_INTERRUPTED = 1, 3, 130
@@ -55,8 +55,8 @@ def run(
         raise UsageError("--quiet and --verbose exclude each other")
     with watching(viewer):
         folder = run_with_progress(request, out, force, show=verbose or not (quiet or as_json), verbose=verbose)
-    from panobench.bench.record import read_record
-    from panobench.bench.runfolder import RUN_JSON
+    from panobench.bench.records.record import read_record
+    from panobench.bench.records.runfolder import RUN_JSON
 
     record = read_record(folder)
     if as_json:
@@ -75,7 +75,7 @@ def run(
 
 def run_with_progress(request: RunRequest, out: Path | None, force: bool, show: bool, verbose: bool = False) -> Path:
     """Execute the request with a progress bar on standard error, if it is a terminal, and the log if ``verbose``."""
-    from panobench.bench.runner import execute
+    from panobench.bench.run.runner import execute
 
     if not show:
         return execute(request, out, force=force)
@@ -139,7 +139,7 @@ def mask_source(mask: MaskRecord) -> str:
 
 def summary(folder: Path, record: RunRecord) -> str:
     """The most important numbers in a few lines, with what to know before comparing them; run.json has everything."""
-    from panobench.bench.cautions import CAUTIONS, cautions
+    from panobench.bench.records.cautions import CAUTIONS, cautions
 
     frames = record.frames
     lines = [f"{record.status}  {folder}", f"{'tracked':18}{tracked_text(frames)}"]

@@ -8,8 +8,8 @@ from typing import Annotated, Any, get_origin
 
 import typer
 
-from panobench.bench.config import parse_settings
-from panobench.bench.request import RunOption
+from panobench.bench.run.config import parse_settings
+from panobench.bench.run.request import RunOption
 
 
 def with_run_options(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from panobench.bench.record import RunRecord
+    from panobench.bench.records.record import RunRecord
 
 app = typer.Typer()
 
@@ -26,9 +26,9 @@ def score(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Score stored runs again; trajectory numbers and status change, renders and times stay as measured."""
-    from panobench.bench.compare import run_folders
-    from panobench.bench.record import read_record, replace_record
-    from panobench.bench.rescore import ALIGNMENTS, Protocol, rescore, write_copy
+    from panobench.bench.records.compare import run_folders
+    from panobench.bench.records.record import read_record, replace_record
+    from panobench.bench.records.rescore import ALIGNMENTS, Protocol, rescore, write_copy
     from panobench.errors import UnknownNameError, UsageError
 
     if out is not None and in_place:
@@ -49,7 +49,7 @@ def score(
         found = [{"run": str(f), "protocol": protocol.name, "before": b, "after": a} for f, b, a in rows]
         print(json.dumps(found, indent=2))
         return
-    from panobench.bench.tables import text_table
+    from panobench.bench.records.tables import text_table
     from panobench.cli.table import print_table
 
     header = ["run", "status", "ATE mm", "RPE mm", "tracked"]

@@ -27,9 +27,9 @@ def study(
     as_json: Annotated[bool, typer.Option("--json", help="Print the study's study.json, and nothing else.")] = False,
 ) -> None:
     """Run a study: one of the paper's tables or figures, or another; `panobench report DIR` shows it."""
-    from panobench.bench.config import parse_settings
-    from panobench.bench.study_record import STUDY_JSON
-    from panobench.bench.suite import parse_retry
+    from panobench.bench.records.study_record import STUDY_JSON
+    from panobench.bench.run.config import parse_settings
+    from panobench.bench.suite.runner import parse_retry
     from panobench.errors import UsageError
     from panobench.plugins import registry
     from panobench.specs import StudySpec
@@ -65,7 +65,7 @@ def _quiet(line: str) -> None:
 
 
 def _text(rows: list[dict[str, Any]]) -> str:
-    from panobench.bench.tables import text_table
+    from panobench.bench.records.tables import text_table
 
     header = list(dict.fromkeys(key for row in rows for key in row))
     return text_table(header, [[_cell(row.get(key)) for key in header] for row in rows])

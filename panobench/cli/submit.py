@@ -27,8 +27,8 @@ def hilti(
     """
     from rich.console import Console
 
-    from panobench.bench.runfolder import RUN_JSON, folders_with
-    from panobench.bench.submission import write_submission
+    from panobench.bench.records.runfolder import RUN_JSON, folders_with
+    from panobench.bench.records.submission import write_submission
     from panobench.errors import InputError
 
     console = Console(highlight=False, soft_wrap=True)

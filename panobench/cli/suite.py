@@ -31,9 +31,9 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON when done.")] = False,
 ) -> None:
     """Run a suite; the same command again continues or amends it."""
-    from panobench.bench.store import Store
-    from panobench.bench.suite import SuiteRunner, choose, make_plan, parse_retry
-    from panobench.bench.suite_file import read_suite
+    from panobench.bench.suite.file import read_suite
+    from panobench.bench.suite.runner import SuiteRunner, choose, make_plan, parse_retry
+    from panobench.bench.suite.store import Store
     from panobench.errors import UnknownNameError, UsageError
 
     if jobs < 1:
@@ -58,7 +58,7 @@ def run(
     with SuiteTable(suite.name, plan, show=not (quiet or as_json)) as table:
         runner = SuiteRunner(store, suite.name, table)
         if executor == "dask":
-            from panobench.bench.distributed import DaskCompute
+            from panobench.bench.suite.distributed import DaskCompute
 
             with DaskCompute(scheduler, jobs) as compute:
                 runner.compute = compute
@@ -69,7 +69,7 @@ def run(
 
 
 def _conclude(cells: list[Any], store: Any, as_json: bool, quiet: bool) -> None:
-    from panobench.bench.suite import counts
+    from panobench.bench.suite.runner import counts
 
     rows = [_row(cell.label, store.check(cell)[0], "") for cell in cells]
     if as_json:
@@ -85,7 +85,7 @@ def schema(
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default: print it.")] = None,
 ) -> None:
     """JSON Schema of suite files, for editors: keys, methods, data sets, presets and options that there are here."""
-    from panobench.bench.suite_model import suite_schema
+    from panobench.bench.suite.model import suite_schema
     from panobench.writing import write_whole
 
     text = json.dumps(suite_schema(), indent=1, ensure_ascii=False) + "\n"
@@ -102,7 +102,7 @@ def status(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show every result in a store, and what is in its quarantine."""
-    from panobench.bench.store import Store
+    from panobench.bench.suite.store import Store
 
     where = Store(store).require()
     found, damaged = where.runs()

@@ -12,10 +12,10 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from panobench.bench.cautions import cautions
-from panobench.bench.cells import Planned
-from panobench.bench.store import Stored
-from panobench.bench.suite import Plan, counts
+from panobench.bench.records.cautions import cautions
+from panobench.bench.suite.cells import Planned
+from panobench.bench.suite.runner import Plan, counts
+from panobench.bench.suite.store import Stored
 from panobench.cli.table import STYLES
 
 _SHOWN = 12

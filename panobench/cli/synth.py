@@ -52,8 +52,8 @@ def palvio(
     from panobench.capture.stroll import StrollOptions
     from panobench.datasets.base import FrameSequence
     from panobench.datasets.open import open_sequence
-    from panobench.datasets.palvio_synth import IMAGE_RATE_HZ, BagOptions, write_palvio_bag
-    from panobench.datasets.walked_room import WalkedRoom
+    from panobench.datasets.palvio.synth import IMAGE_RATE_HZ, BagOptions, write_palvio_bag
+    from panobench.datasets.synthetic.walked_room import WalkedRoom
     from panobench.errors import UsageError
 
     if camera is None and fov is not None:

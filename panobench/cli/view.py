@@ -13,10 +13,10 @@ from panobench.errors import UsageError
 if TYPE_CHECKING:
     import numpy as np
 
-    from panobench.bench.map_views import MapSequence
+    from panobench.bench.records.map_views import MapSequence
     from panobench.cameras.factory import CameraChoice
     from panobench.datasets.base import FrameSequence
-    from panobench.datasets.contact_sheet import Cell
+    from panobench.datasets.inspection.contact_sheet import Cell
 
 app = typer.Typer()
 
@@ -57,12 +57,12 @@ def view(
     """
     from rich.console import Console
 
-    from panobench.bench.map_views import MapSequence, is_map
-    from panobench.datasets.contact_sheet import contact_sheet
+    from panobench.bench.records.map_views import MapSequence, is_map
+    from panobench.datasets.files.images import encode_image
     from panobench.datasets.given import Given
-    from panobench.datasets.images import encode_image
-    from panobench.datasets.look_around import write_look_around_page
-    from panobench.datasets.single_image import open_anything
+    from panobench.datasets.inspection.contact_sheet import contact_sheet
+    from panobench.datasets.inspection.look_around import write_look_around_page
+    from panobench.datasets.inspection.single_image import open_anything
     from panobench.writing import write_whole
 
     if is_map(source):
@@ -98,7 +98,7 @@ def view(
 def _write_walk(source: Path, opened: MapSequence, page: Path) -> None:
     """The page of a run's map, or of a map alone with the poses that lie beside it."""
     from panobench.api import Run
-    from panobench.bench.runfolder import MAP, RUN_JSON
+    from panobench.bench.records.runfolder import MAP, RUN_JSON
     from panobench.viewer.walk.page import Walk, walk_of_run, write_walk
 
     folder = source if source.is_dir() else source.parent
@@ -135,7 +135,7 @@ def _choices(as_: str | None, opened: FrameSequence, width: int | None, fov: str
 def _rows(opened: FrameSequence, chosen: list[int], choices: list[CameraChoice]) -> list[list[Cell]]:
     """One row per frame: the frame, then each camera's picture of it. Views that see nothing are left out."""
     from panobench.cameras.reproject import Reprojector
-    from panobench.datasets.contact_sheet import Cell
+    from panobench.datasets.inspection.contact_sheet import Cell
     from panobench.errors import UnsupportedError
 
     reprojectors: list[Reprojector | None] = []
@@ -168,8 +168,8 @@ def _panoramas(opened: FrameSequence, chosen: list[int]) -> list[tuple[str, np.n
 
     from panobench.cameras.factory import parse_camera_option
     from panobench.cameras.reproject import Reprojector
-    from panobench.datasets.contact_sheet import shade_unseen
-    from panobench.datasets.images import resize_image
+    from panobench.datasets.files.images import resize_image
+    from panobench.datasets.inspection.contact_sheet import shade_unseen
 
     coverage = opened.camera.solid_angle().sum() / (4 * np.pi)
     if coverage < _PAGE_COVERAGE:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from panobench.datasets.archive import unpack_into
+from panobench.datasets.files.archive import unpack_into
 from panobench.errors import InputError, OutputError
 from panobench.writing import writing
 

@@ -6,7 +6,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "synpano",
         "synthetic indoor panoramas with exact ground truth",
-        "panobench.datasets.synpano:SynPano",
+        "panobench.datasets.formats.synpano:SynPano",
         publisher="the SynPano authors (the synthetic benchmark of the PanoGS-SLAM paper)",
         obtain="ask the authors of the PanoGS-SLAM paper; no public address is known",
         layout="SCENE/images/*.{png,jpg} (2:1), SCENE/groundtruth.txt with rows 'frame_id image_name x y z qx qy qz "
@@ -17,7 +17,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "folder",
         "panobench's own sequence format, as `panobench convert` writes it",
-        "panobench.datasets.folder:Folder",
+        "panobench.datasets.formats.folder:Folder",
         publisher="you",
         layout="SEQUENCE/camera.yaml, SEQUENCE/images/, SEQUENCE/frames.csv (time,file), optional groundtruth.tum, "
         "imu.csv, depth/, mask.png, meta.json",
@@ -25,7 +25,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "video",
         "any equirectangular 360 video; no ground truth",
-        "panobench.datasets.video:Video",
+        "panobench.datasets.formats.video:Video",
         publisher="you",
         layout="FILE.mp4, or FOLDER/NAME.mp4 with --sequence NAME; optional NAME.mask.png (white = valid)",
         camera="erp",
@@ -33,7 +33,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "images",
         "a folder of panoramas, or of images with a calibration",
-        "panobench.datasets.image_folder:ImageFolder",
+        "panobench.datasets.formats.image_folder:ImageFolder",
         publisher="you",
         layout="FOLDER/*.jpg, FOLDER/images/*.jpg or FOLDER/NAME/*.jpg; times from times.txt, names, EXIF or --rate; "
         "2:1 panoramas, or --calibration FILE; optional mask.png",
@@ -41,14 +41,14 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "colmap",
         "a COLMAP project: images, camera and poses (without scale)",
-        "panobench.datasets.reconstructions:ColmapProject",
+        "panobench.datasets.formats.reconstructions:ColmapProject",
         publisher="you",
         layout="PROJECT/images/ and PROJECT/sparse/0/{cameras,images}.{bin,txt}",
     ),
     DatasetSpec(
         "nerfstudio",
         "a project of nerfstudio or instant-ngp: images, camera and poses (without scale)",
-        "panobench.datasets.reconstructions:NerfstudioProject",
+        "panobench.datasets.formats.reconstructions:NerfstudioProject",
         publisher="you",
         layout="PROJECT/transforms.json and the images it names",
     ),
@@ -64,7 +64,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "palvio",
         "panoramic annular camera, IMU and motion capture on a drone (LF-VIO)",
-        "panobench.datasets.palvio:Palvio",
+        "panobench.datasets.palvio.dataset:Palvio",
         requires=("rosbags",),
         publisher="Wang et al., LF-VIO (IROS 2022): the PALVIO dataset, linked from the LF-VIO repository on GitHub",
         obtain="follow the links in the README of https://github.com/flysoaryun/LF-VIO (Google Drive: ID01, ID06 and "
@@ -90,7 +90,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "rooms",
         "built-in furnished rooms, ray cast with exact poses and depth",
-        "panobench.datasets.rooms:RoomsDataset",
+        "panobench.datasets.synthetic.rooms:RoomsDataset",
         needs_root=False,
         camera="erp",
         recorded=False,
@@ -98,7 +98,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "disturbed",
         "another dataset's sequence with noise, blur, an occluder and so on, or as a simulated recording of it",
-        "panobench.datasets.disturbed:DisturbedDataset",
+        "panobench.datasets.synthetic.disturbed:DisturbedDataset",
         layout="--sequence DATASET/SEQUENCE+PART-NUMBER:NAME=NUMBER, for example rooms/room1+operator-15:noise=0.03",
         needs_root=False,
         recorded=False,
@@ -106,7 +106,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "tum-vi",
         "fisheye camera, IMU and motion capture, handheld",
-        "panobench.datasets.tum_vi:TumVi",
+        "panobench.datasets.formats.tum_vi:TumVi",
         publisher="Schubert et al., TUM-VI (IROS 2018), Technical University of Munich",
         obtain="`panobench download tum-vi --sequence room1`, or the 512x512 EuRoC archives of "
         "https://cvg.cit.tum.de/data/datasets/visual-inertial-dataset",
@@ -117,7 +117,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "360vo",
         "synthetic panoramas of streets with ground truth (left-handed)",
-        "panobench.datasets.vo360:Vo360",
+        "panobench.datasets.formats.vo360:Vo360",
         publisher="Huang and Yeung, 360VO (ICRA 2022), HKUST",
         obtain="ask the authors of the 360VO paper; no public address is known",
         layout="SEQUENCE/images/*.{png,jpg} (2:1), SEQUENCE/groundtruth.txt with rows 'frame_id image_name x y z qx qy "
@@ -128,7 +128,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "360loc",
         "panoramas of four places with poses, for localisation",
-        "panobench.datasets.loc360:Loc360",
+        "panobench.datasets.formats.loc360:Loc360",
         publisher="Huang et al., 360Loc (CVPR 2024), HKUST",
         obtain="follow the link in the README of https://github.com/HuajianUP/360Loc (OneDrive) and unpack a place",
         layout="PLACE/{mapping,query_360}/SEQUENCE/image/*.jpg with camera_pose.json beside image/",
@@ -137,7 +137,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "omniblender",
         "synthetic 360 scenes: OmniBlender and OB3D",
-        "panobench.datasets.omniblender:OmniBlender",
+        "panobench.datasets.formats.omniblender:OmniBlender",
         publisher="Choi et al., EgoNeRF (CVPR 2023); Ito et al., OB3D (2025)",
         obtain="OmniBlender: follow the link in the README of https://github.com/changwoonchoi/EgoNeRF (Google Drive); "
         "OB3D: https://www.kaggle.com/datasets/shintacs/ob3d-dataset",
@@ -149,7 +149,7 @@ DATASETS: tuple[DatasetSpec, ...] = (
     DatasetSpec(
         "insta360-dual-fisheye",
         "raw footage of two fisheye lenses, stitched with a given calibration",
-        "panobench.datasets.dual_fisheye:Insta360DualFisheye",
+        "panobench.datasets.formats.dual_fisheye:Insta360DualFisheye",
         publisher="you",
         layout="FILE.mp4 or FILE.insv with both circles in one frame, and dual_fisheye.yaml (or FILE.dual.yaml) beside "
         "it: lenses: two of {x, y, camera, yaw_pitch_roll_deg}, blend_deg",

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.trajectory_match import interpolate_poses
+from panobench.datasets.files.trajectory_match import interpolate_poses
 from panobench.errors import InputError, MethodError, MethodTimeoutError, UnavailableError, UsageError
 from panobench.external import confine
 from panobench.external.findings import Finding, library_finding

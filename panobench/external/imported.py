@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.listing import children
+from panobench.datasets.files.listing import children
 from panobench.errors import InputError
 from panobench.methods.base import BatchMethod, MethodContext
 from panobench.trajectories.matching import Frames, Placed, place
@@ -154,7 +154,7 @@ def _by_number(files: list[Path], frames: int) -> dict[int, Path]:
 
 def _read_render(path: Path, camera: Camera) -> NDArray[np.float32]:
     """RGB (H, W, 3) in 0..1. Raises InputError if it is no image of the camera's size."""
-    from panobench.datasets.images import read_image
+    from panobench.datasets.files.images import read_image
 
     image = read_image(path)
     if image.shape != (camera.height, camera.width, 3):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.images import write_image
+from panobench.datasets.files.images import write_image
 from panobench.errors import UnsupportedError
 
 if TYPE_CHECKING:

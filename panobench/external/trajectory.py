@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets import trajectory_io as io
+from panobench.datasets.files import trajectory_io as io
 from panobench.errors import DatasetError
 from panobench.geometry import invert_pose
 from panobench.types import Trajectory

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.images import write_image
+from panobench.datasets.files.images import write_image
 from panobench.errors import UnsupportedError
 from panobench.external import ros
 from panobench.external.adapter import ExternalConfig, ExternalMethod, Job

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.images import read_image, resize_image
+from panobench.datasets.files.images import read_image, resize_image
 from panobench.errors import DatasetError
 from panobench.layouts.cells import EAC
 from panobench.layouts.layout import WHOLE, Layout, Size

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.images import IMAGE_SUFFIXES, decode_stored, read_bytes
-from panobench.datasets.natural import natural_paths
+from panobench.datasets.files.images import IMAGE_SUFFIXES, decode_stored, read_bytes
+from panobench.datasets.files.natural import natural_paths
 from panobench.errors import DatasetError
 from panobench.masks.pixels import understand
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.trajectory_match import interpolate_poses
+from panobench.datasets.files.trajectory_match import interpolate_poses
 from panobench.geometry import so3_log, umeyama
 from panobench.types import Trajectory
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.datasets.images import write_image
+from panobench.datasets.files.images import write_image
 from panobench.errors import UnsupportedError
 from panobench.metrics.alignment import match, world_alignment
 from panobench.metrics.base import MetricInput, Render

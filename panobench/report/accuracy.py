@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from panobench.bench.cautions import CAUTIONS
-from panobench.bench.paper import Published
-from panobench.bench.request import run_options
-from panobench.bench.statistics import Ranked, rank, sequence_mean, summarise
+from panobench.bench.records.cautions import CAUTIONS
+from panobench.bench.records.paper import Published
+from panobench.bench.records.statistics import Ranked, rank, sequence_mean, summarise
+from panobench.bench.run.request import run_options
 from panobench.report.model import Run
 from panobench.report.published import Block, published_block
 from panobench.report.ranking import failure

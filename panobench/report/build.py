@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from panobench.bench.paper import load_published
+from panobench.bench.records.paper import load_published
 from panobench.errors import UnknownNameError, UsageError
 from panobench.report import privacy
 from panobench.report.choose import chosen_tables

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from panobench.bench.masking import MASK
-from panobench.bench.record import DepthRecord, read_record
-from panobench.bench.rescore import Protocol
-from panobench.bench.runfolder import FRAMES, GROUNDTRUTH, LOG, RENDERS, RUN_JSON, TRAJECTORY, folders_with
-from panobench.bench.store import QUARANTINE
-from panobench.bench.study_record import STUDY_JSON, StoredStudy, read_study
-from panobench.datasets.trajectory_io import read_tum
+from panobench.bench.records.record import DepthRecord, read_record
+from panobench.bench.records.rescore import Protocol
+from panobench.bench.records.runfolder import FRAMES, GROUNDTRUTH, LOG, RENDERS, RUN_JSON, TRAJECTORY, folders_with
+from panobench.bench.records.study_record import STUDY_JSON, StoredStudy, read_study
+from panobench.bench.run.masking import MASK
+from panobench.bench.suite.store import QUARANTINE
+from panobench.datasets.files.trajectory_io import read_tum
 from panobench.errors import InputError
 from panobench.report.model import Array, Collection, DepthPictures, Errors, ImagePair, Problem, Run
 from panobench.types import Trajectory

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from panobench import __version__
-from panobench.bench.provenance import ProvenanceRecord
+from panobench.bench.records.provenance import ProvenanceRecord
 from panobench.report.accuracy import competes, conditions
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure

@@ -17,8 +17,8 @@ import jinja2
 from markupsafe import Markup, escape
 
 from panobench import __version__
-from panobench.bench.cautions import CAUTIONS, WRONG
-from panobench.bench.paper import Published
+from panobench.bench.records.cautions import CAUTIONS, WRONG
+from panobench.bench.records.paper import Published
 from panobench.errors import UnavailableError
 from panobench.report.headline import default_title, facts, measurements, tiles
 from panobench.report.images import BUDGET, SMALLEST

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.images import decode_stored
+from panobench.datasets.files.images import decode_stored
 from panobench.errors import DatasetError
 
 #: Bytes of base64 text all pictures together may take, unless the page's limit leaves less.

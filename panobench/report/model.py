@@ -10,9 +10,9 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.bench.cautions import cautions
-from panobench.bench.record import RunRecord, VerdictRecord
-from panobench.bench.study_record import StoredStudy
+from panobench.bench.records.cautions import cautions
+from panobench.bench.records.record import RunRecord, VerdictRecord
+from panobench.bench.records.study_record import StoredStudy
 from panobench.geometry import Sim3
 from panobench.types import Trajectory
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.bench.masking import FRAME_MASKS, HIDDEN_COLOUR, MOVING, MOVING_COLOUR
+from panobench.bench.run.masking import FRAME_MASKS, HIDDEN_COLOUR, MOVING, MOVING_COLOUR
 from panobench.masks.frame_masks import mask_name
 from panobench.report.images import BUDGET, Picture, Plan, encode, encode_file, plan, read, spread
 from panobench.report.model import Collection, Run

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from panobench.bench.record import RunRecord
-from panobench.bench.study_record import StoredStudy
+from panobench.bench.records.record import RunRecord
+from panobench.bench.records.study_record import StoredStudy
 from panobench.report.model import Collection, Problem, Run
 
 #: An absolute path of at least two parts, not inside a word, an address or a ratio.

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from panobench.bench.paper import Published
+from panobench.bench.records.paper import Published
 from panobench.report.model import Run
 
 #: Which published ATE table belongs to which dataset name, and what to say when the data are not the same.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from panobench.bench.evaluate import broken_limit
-from panobench.bench.statistics import RANKING_RULE as STATISTICS_RULE
+from panobench.bench.records.statistics import RANKING_RULE as STATISTICS_RULE
+from panobench.bench.run.evaluate import broken_limit
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED
 from panobench.report.model import Run
 

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from panobench.bench.study_record import StoredStudy, StudyResult
+from panobench.bench.records.study_record import StoredStudy, StudyResult
 from panobench.report.figures import Figure, log_axis
 from panobench.report.sections import Chart
 from panobench.report.table_model import (

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from panobench.bench.statistics import Summary
+from panobench.bench.records.statistics import Summary
 from panobench.report.model import Origin
 from panobench.report.ranking import ranks
 

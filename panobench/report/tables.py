@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from panobench.bench.paper import Published
-from panobench.bench.request import run_options
-from panobench.bench.statistics import summarise
+from panobench.bench.records.paper import Published
+from panobench.bench.records.statistics import summarise
+from panobench.bench.run.request import run_options
 from panobench.report.accuracy import accuracy_tables, competes, conditions, facts, flags
 from panobench.report.model import Collection, Run
 from panobench.report.ranking import failure

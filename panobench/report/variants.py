@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from panobench.bench.request import run_options
+from panobench.bench.run.request import run_options
 from panobench.report.model import Collection, Origin, Run
 
 

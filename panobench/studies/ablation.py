@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from panobench.bench.study_record import StudyResult
+from panobench.bench.records.study_record import StudyResult
 from panobench.studies.base import StudyRequest
 from panobench.studies.cells import FAILED, QUICK, RunOptions, geometric_mean, mean, median, reasons, run_cells
 from panobench.studies.published import published_table, source_notes

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from panobench.bench.config import override
+from panobench.bench.run.config import override
 
 Options = TypeVar("Options")
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
-from panobench.bench.request import RunRequest
-from panobench.bench.setup import open_input
-from panobench.bench.study_record import StudyResult
+from panobench.bench.records.study_record import StudyResult
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.setup import open_input
+from panobench.bench.suite.fingerprint import code_fingerprint, data_fingerprint, digest, environment_fingerprint
 from panobench.datasets.base import FrameSequence
 from panobench.errors import DatasetError, UsageError
 from panobench.studies import basin_figures
@@ -96,7 +96,9 @@ def measure(options: BasinOptions, study: StudyRequest) -> dict[str, dict[str, A
     about = {k: v for k, v in asdict(options).items() if k not in ("fov", "pinhole", "root")}
     shared = [
         about,
-        code_fingerprint(["panobench.methods.panogs.tracker:Tracker", "panobench.methods.panogs.mapper:Mapper"]),
+        code_fingerprint(
+            ["panobench.methods.panogs.tracking.tracker:Tracker", "panobench.methods.panogs.mapping.mapper:Mapper"]
+        ),
         # the code of a run leaves studies out, but here this module measures
         Path(__file__).with_name("landscape.py").read_text(encoding="utf-8"),
         environment_fingerprint(),
@@ -164,7 +166,7 @@ def _fit(options: BasinOptions, panorama: FrameSequence, study: StudyRequest) ->
 
 
 def _config(options: BasinOptions, **changes: Any) -> Any:
-    from panobench.bench.config import override
+    from panobench.bench.run.config import override
     from panobench.methods.panogs.config import PanogsConfig
 
     own = {

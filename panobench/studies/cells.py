@@ -8,11 +8,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, make_dataclass
 from typing import Any, get_type_hints
 
-from panobench.bench.cells import Cell, Limits, Planned
-from panobench.bench.request import RunRequest, run_options
-from panobench.bench.statistics import summarise
-from panobench.bench.store import Store, Stored
-from panobench.bench.suite import SuiteRunner, make_plan
+from panobench.bench.records.statistics import summarise
+from panobench.bench.run.request import RunRequest, run_options
+from panobench.bench.suite.cells import Cell, Limits, Planned
+from panobench.bench.suite.runner import SuiteRunner, make_plan
+from panobench.bench.suite.store import Store, Stored
 from panobench.studies.base import StudyRequest
 from panobench.types import RunStatus
 

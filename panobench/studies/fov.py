@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from panobench.bench.study_record import StudyResult
+from panobench.bench.records.study_record import StudyResult
 from panobench.studies.base import StudyRequest
 from panobench.studies.cells import FAILED, QUICK, RunOptions, mean, median, reasons, run_cells
 from panobench.studies.published import columns, published_table, source_notes

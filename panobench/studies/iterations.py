@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from panobench.bench.paper import load_published
-from panobench.bench.study_record import StudyResult
+from panobench.bench.records.paper import load_published
+from panobench.bench.records.study_record import StudyResult
 from panobench.errors import UsageError
 from panobench.studies.base import StudyRequest
 from panobench.studies.cells import FAILED, QUICK, RunOptions, mean, median, reasons, run_cells

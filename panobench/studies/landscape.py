@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.mapper import Mapper
-from panobench.methods.panogs.tracker import Tracker
+from panobench.methods.panogs.mapping.mapper import Mapper
+from panobench.methods.panogs.tracking.tracker import Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.splat.gaussians import GaussianMap

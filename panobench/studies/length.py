@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from panobench.api import Run
-from panobench.bench.study_record import StudyResult
+from panobench.bench.records.study_record import StudyResult
 from panobench.errors import UsageError
 from panobench.geometry import umeyama
 from panobench.metrics.alignment import match, moves

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shlex
 
-from panobench.bench.provenance import provenance
-from panobench.bench.study_record import StudyResult, write_study
+from panobench.bench.records.provenance import provenance
+from panobench.bench.records.study_record import StudyResult, write_study
 from panobench.errors import PanobenchError
 from panobench.specs import StudySpec
 from panobench.studies.base import StudyRequest

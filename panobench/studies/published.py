@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from panobench.bench.paper import Published, load_published
+from panobench.bench.records.paper import Published, load_published
 
 #: Datasets whose sequences carry the names of the paper's rooms. The built-in ones are other rooms.
 CAVEAT = {

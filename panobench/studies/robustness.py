@@ -6,9 +6,9 @@ import itertools
 from dataclasses import dataclass
 from typing import Any
 
-from panobench.bench.cells import Cell
-from panobench.bench.store import Stored
-from panobench.bench.study_record import StudyResult
+from panobench.bench.records.study_record import StudyResult
+from panobench.bench.suite.cells import Cell
+from panobench.bench.suite.store import Stored
 from panobench.errors import DatasetError, UsageError
 from panobench.metrics.base import FAILED_ATE_M, MIN_TRACKED
 from panobench.studies import basin
@@ -16,7 +16,7 @@ from panobench.studies.base import StudyRequest
 from panobench.studies.cells import FAILED, QUICK, RunOptions, middle, reasons, run_cells
 from panobench.types import RunStatus
 
-#: Row -> disturbance of the stream (``panobench.datasets.disturb``), "" for none, or "every=N": frames skipped.
+#: Row -> disturbance of the stream (``datasets.synthetic.disturb``), "" for none, or "every=N": frames skipped.
 DISTURBANCES = (
     "none",
     "noise=0.03",
@@ -52,7 +52,7 @@ QUICK_STREAMS: dict[str, Any] = {
 class RobustnessOptions(RunOptions):
     """methods: each on every disturbance. sequences: SEQUENCE of ``dataset``, or DATASET/SEQUENCE.
 
-    disturbances: NAME=NUMBER of ``panobench.datasets.disturb.Disturbances``, several joined by ":"; every=N; none.
+    disturbances: NAME=NUMBER of ``datasets.synthetic.disturb.Disturbances``, several joined by ":"; every=N; none.
     starts: also the share of perturbed start poses from which panogs finds a frame, in the first sequence.
     """
 

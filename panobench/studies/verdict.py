@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from panobench.bench.cells import Cell
-from panobench.bench.checking import BACKWARDS, CHECKER
-from panobench.bench.store import Stored
-from panobench.bench.study_record import StudyResult
+from panobench.bench.records.study_record import StudyResult
+from panobench.bench.run.checking import BACKWARDS, CHECKER
+from panobench.bench.suite.cells import Cell
+from panobench.bench.suite.store import Stored
 from panobench.studies.base import StudyRequest
 from panobench.studies.cells import QUICK, RunOptions, reasons, run_cells
 from panobench.verdict.base import FAILED, TRUSTED

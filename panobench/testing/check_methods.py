@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from panobench.bench.config import override
+from panobench.bench.run.config import override
 from panobench.cameras.base import Camera
 from panobench.datasets.base import FrameSequence
 from panobench.errors import PanobenchError

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.bench.blas import one_blas_thread
+from panobench.bench.run.blas import one_blas_thread
 from panobench.datasets.base import FrameSequence
 from panobench.methods.base import BatchMethod, MethodContext, OnlineMethod
 from panobench.specs import load_object

@@ -14,7 +14,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from panobench.datasets.trajectory_io import MAX_TEXT_BYTES, is_number, poses_from_rows
+from panobench.datasets.files.trajectory_io import MAX_TEXT_BYTES, is_number, poses_from_rows
 from panobench.errors import DatasetError
 from panobench.geometry import invert_pose
 from panobench.reading import read_text

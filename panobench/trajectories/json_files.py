@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from panobench.datasets.json_poses import read_json, rigid_matrix
+from panobench.datasets.files.json_poses import read_json, rigid_matrix
 from panobench.errors import DatasetError
 from panobench.trajectories.posed import Array, PoseList
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.trajectory_match import nearest
+from panobench.datasets.files.trajectory_match import nearest
 from panobench.errors import InputError
 from panobench.trajectories.posed import PoseList
 from panobench.trajectories.reading import UNITS

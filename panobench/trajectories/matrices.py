@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from panobench.datasets.columns import is_header
-from panobench.datasets.trajectory_io import NamedRows, Row, check_times, parse_floats, read_named_rows, time_unit
+from panobench.datasets.files.columns import is_header
+from panobench.datasets.files.trajectory_io import NamedRows, Row, check_times, parse_floats, read_named_rows, time_unit
 from panobench.errors import DatasetError
 from panobench.geometry import make_pose, renormalise
 from panobench.trajectories.posed import Array, PoseList

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from panobench.datasets import trajectory_io as io
+from panobench.datasets.files import trajectory_io as io
 from panobench.errors import DatasetError, InputError, UnknownNameError, UsageError
 from panobench.trajectories import colmap_model, json_files, matrices
 from panobench.trajectories.posed import PoseList

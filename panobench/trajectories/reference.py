@@ -13,9 +13,9 @@ from panobench.cameras.base import Camera
 from panobench.cameras.rig import Rig
 from panobench.cameras.views import rotated_poses
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.checksums import known_sha256
-from panobench.datasets.trajectory_match import nearest
-from panobench.datasets.truth import MAX_GAP_S, truth_at_frames
+from panobench.datasets.files.checksums import known_sha256
+from panobench.datasets.files.trajectory_match import nearest
+from panobench.datasets.files.truth import MAX_GAP_S, truth_at_frames
 from panobench.datasets.wrapped import WrappedSequence
 from panobench.errors import InputError, UsageError
 from panobench.trajectories.matching import Frames, place

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from panobench.datasets.images import MAX_PIXELS
+from panobench.datasets.files.images import MAX_PIXELS
 from panobench.errors import DatasetError
 
 #: Demuxers that are read. Playlists, image lists and scripts are not: they name other files.

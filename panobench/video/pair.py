@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.trajectory_match import nearest
+from panobench.datasets.files.trajectory_match import nearest
 from panobench.errors import DatasetError
 from panobench.video.container import open_container, picture_streams
 from panobench.video.reader import VideoReader

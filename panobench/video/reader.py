@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.images import check_limits
+from panobench.datasets.files.images import check_limits
 from panobench.errors import DatasetError
 from panobench.video.container import bound_decoder, frames, jump, open_container, picture_streams, side_data
 from panobench.video.index import FrameIndex, index_frames

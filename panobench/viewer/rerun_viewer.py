@@ -9,9 +9,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from panobench.bench.runfolder import MAP, TRAJECTORY
+from panobench.bench.records.runfolder import MAP, TRAJECTORY
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.trajectory_io import read_tum
+from panobench.datasets.files.trajectory_io import read_tum
 from panobench.errors import OutputError
 from panobench.geometry import umeyama
 from panobench.hookspecs import hookimpl

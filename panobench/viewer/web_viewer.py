@@ -12,9 +12,9 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from panobench.bench.runfolder import MAP, TRAJECTORY
+from panobench.bench.records.runfolder import MAP, TRAJECTORY
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.trajectory_io import read_tum
+from panobench.datasets.files.trajectory_io import read_tum
 from panobench.errors import OutputError
 from panobench.geometry import matrix_from_quaternion, quaternion_from_matrix
 from panobench.hookspecs import hookimpl

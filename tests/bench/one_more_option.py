@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import panobench.bench.request as request
+import panobench.bench.run.request as request
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ request.RunRequest = Extended  # type: ignore[misc]
 def main(folder: Path) -> dict[str, object]:
     import typer
 
-    from panobench.bench.cells import Cell, Planner
-    from panobench.bench.compare import compare
-    from panobench.bench.record import RunRecord
-    from panobench.bench.suite_file import read_suite
+    from panobench.bench.records.compare import compare
+    from panobench.bench.records.record import RunRecord
+    from panobench.bench.suite.cells import Cell, Planner
+    from panobench.bench.suite.file import read_suite
     from panobench.cli import import_run, run
     from panobench.errors import InputError
     from panobench.report.model import Collection, Run

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from panobench.bench.cells import Cell, Limits, Planned
-from panobench.bench.isolated import Stopper
-from panobench.bench.request import RunRequest
-from panobench.bench.store import Store, Stored
-from panobench.bench.suite import SuiteRunner, make_plan, parse_retry
+from panobench.bench.run.request import RunRequest
+from panobench.bench.suite.cells import Cell, Limits, Planned
+from panobench.bench.suite.isolated import Stopper
+from panobench.bench.suite.runner import SuiteRunner, make_plan, parse_retry
+from panobench.bench.suite.store import Store, Stored
 
 
 class Silent:
@@ -31,11 +31,11 @@ def cell(method: str = "still", seed: int = 0, **options: Any) -> Cell:
 
 def quick(planned: Planned, suite: str, place: Path, stopper: Stopper) -> Path:
     """The run in this process: for tests of everything around it."""
-    from panobench.bench.runner import execute
-    from panobench.bench.suite import entry
+    from panobench.bench.run.runner import execute
+    from panobench.bench.suite.runner import entry
 
     if planned.status is not None:
-        from panobench.bench.suite import compute
+        from panobench.bench.suite.runner import compute
 
         return compute(planned, suite, place, stopper)
     return execute(planned.cell.request, place / "run", cell=entry(planned, suite))

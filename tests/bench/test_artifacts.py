@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from panobench.bench.cells import Cell, Planned, Planner
-from panobench.bench.request import RunRequest
+from panobench.bench.run.request import RunRequest
+from panobench.bench.suite.cells import Cell, Planned, Planner
 from panobench.errors import UsageError
 from panobench.types import RunStatus
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from panobench.bench.blas import one_blas_thread
+from panobench.bench.run.blas import one_blas_thread
 
 
 def threads() -> list[int]:

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.bench.checking import BACKWARDS, Backwards, check_trajectory, chosen_check
-from panobench.bench.observer import Observer
-from panobench.bench.record import read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
+from panobench.bench.records.record import read_record
+from panobench.bench.run.checking import BACKWARDS, Backwards, check_trajectory, chosen_check
+from panobench.bench.run.observer import Observer
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
 from panobench.testing.sequences import TinySequence
 from panobench.types import Trajectory
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from panobench.bench.compare import Rule, compare
-from panobench.bench.record import RunRecord, write_record
+from panobench.bench.records.compare import Rule, compare
+from panobench.bench.records.record import RunRecord, write_record
 from panobench.cli.main import run as panobench
 from panobench.errors import InputError, PanobenchError
 

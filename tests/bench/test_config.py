@@ -8,7 +8,7 @@ from typing import Literal
 
 import pytest
 
-from panobench.bench.config import config_values, method_config, option_names, override, parse_settings
+from panobench.bench.run.config import config_values, method_config, option_names, override, parse_settings
 from panobench.errors import UnknownNameError, UsageError
 from panobench.specs import MethodSpec
 

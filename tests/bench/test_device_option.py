@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from cuda_devices import emulated
 
-from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import LOG, read_run_json
-from panobench.bench.runner import execute
+from panobench.bench.records.runfolder import LOG, read_run_json
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
 from panobench.errors import UnavailableError, UnknownNameError, UnsupportedError
 from panobench.splat import backend
 

@@ -13,15 +13,15 @@ from typing import Any
 
 import pytest
 
-from panobench.bench.cells import Cell, Limits, Planned
-from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import read_run_json
-from panobench.bench.store import Store, Stored
-from panobench.bench.suite import SuiteRunner, compute, make_plan
+from panobench.bench.records.runfolder import read_run_json
+from panobench.bench.run.request import RunRequest
+from panobench.bench.suite.cells import Cell, Limits, Planned
+from panobench.bench.suite.runner import SuiteRunner, compute, make_plan
+from panobench.bench.suite.store import Store, Stored
 from panobench.errors import InputError, UsageError
 
 pytest.importorskip("distributed")
-from panobench.bench import distributed as module
+from panobench.bench.suite import distributed as module
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
 
@@ -82,7 +82,7 @@ def test_a_worker_killed_in_mid_run_is_an_infrastructure_failure(
 
 def _wait_for_run(dask: Any) -> tuple[int, int]:
     """Process ids of the worker and of the supervisor it started."""
-    from panobench.bench.process_tree import descendants
+    from panobench.bench.suite.process_tree import descendants
 
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:
@@ -92,7 +92,7 @@ def _wait_for_run(dask: Any) -> tuple[int, int]:
                     words = Path(f"/proc/{pid}/cmdline").read_bytes()
                 except OSError:
                     continue
-                if b"panobench.bench.supervisor" in words and len(descendants(pid)) > 0:
+                if b"panobench.bench.suite.supervisor" in words and len(descendants(pid)) > 0:
                     return worker, pid
         time.sleep(0.05)
     raise AssertionError("no run was started")

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from panobench.bench.evaluate import evaluate, judge
+from panobench.bench.run.evaluate import evaluate, judge
 from panobench.testing import TinySequence, made_up_run
 from panobench.types import Estimate, RunStatus, Trajectory
 

@@ -14,8 +14,8 @@ from panobench.bench.export.frames import frames_of
 from panobench.cameras.calibration import colmap, nerfstudio
 from panobench.cameras.calibration.result import ReadOptions
 from panobench.cli.main import run as command
-from panobench.datasets.images import read_image
-from panobench.datasets.trajectory_io import read_kitti, read_tum
+from panobench.datasets.files.images import read_image
+from panobench.datasets.files.trajectory_io import read_kitti, read_tum
 from panobench.errors import OutputError, UnknownNameError, UsageError
 from panobench.geometry import matrix_from_quaternion
 from panobench.splat.ply import write_ply

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from panobench.bench import fingerprint
-from panobench.bench.fingerprint import code_fingerprint, data_fingerprint, digest
+from panobench.bench.suite import fingerprint
+from panobench.bench.suite.fingerprint import code_fingerprint, data_fingerprint, digest
 
 FILES = {
     "__init__.py": "",
@@ -84,7 +84,7 @@ def test_other_modules_do_not_count(package: Path) -> None:
 
 def test_heavy_packages_are_not_imported_to_be_hashed() -> None:
     code = (
-        "import sys; from panobench.bench.fingerprint import code_fingerprint\n"
+        "import sys; from panobench.bench.suite.fingerprint import code_fingerprint\n"
         "code_fingerprint(['panobench.methods.sparse.method:SparseMethod', 'panobench.metrics.rendering:x'])\n"
         "print([m for m in ('numba', 'torch', 'cv2', 'scipy', 'evo') if m in sys.modules])"
     )
@@ -103,7 +103,7 @@ def test_data_count_by_content_not_by_place() -> None:
 
 
 def test_files_are_read_once_while_a_suite_is_planned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from panobench.datasets import checksums
+    from panobench.datasets.files import checksums
 
     read: list[str] = []
     plainly = checksums.sha256_file

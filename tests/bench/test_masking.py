@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from panobench.bench import masking
-from panobench.bench.artifacts import artifact_checksums
-from panobench.bench.masking import MaskChoice, apply_mask, choose_mask, read_mask_for
-from panobench.bench.record import RunRecord, read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
-from panobench.bench.views import ChosenFrames, FrameReader
+from panobench.bench.records.record import RunRecord, read_record
+from panobench.bench.run import masking
+from panobench.bench.run.masking import MaskChoice, apply_mask, choose_mask, read_mask_for
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
+from panobench.bench.run.views import ChosenFrames, FrameReader
+from panobench.bench.suite.artifacts import artifact_checksums
 from panobench.cameras.erp import ErpCamera
 from panobench.cli.run import summary
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.images import read_image, write_image
+from panobench.datasets.files.images import read_image, write_image
 from panobench.errors import DatasetError, UnknownNameError, UsageError
 from panobench.masks.base import MaskEstimate, MaskEstimator
 from panobench.masks.files import read_mask_file
@@ -52,7 +52,7 @@ def estimators(monkeypatch: pytest.MonkeyPatch) -> None:
     entries = dict(registry().entries["mask"])
     for cls in (Lower, Fails):
         monkeypatch.setattr(masking, cls.__name__, cls, raising=False)
-        spec = MaskSpec(cls.__name__.lower(), "for tests", f"panobench.bench.masking:{cls.__name__}")
+        spec = MaskSpec(cls.__name__.lower(), "for tests", f"panobench.bench.run.masking:{cls.__name__}")
         entries[spec.name] = Registered(spec, "test")
     monkeypatch.setitem(registry().entries, "mask", entries)
 
@@ -165,7 +165,7 @@ def test_masks_of_single_frames_reach_who_honours_them_and_are_joined_for_others
         sequence = ChosenFrames(TinySequence(erp_camera(128), n=4))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(masking, "Frames", Frames, raising=False)
-            spec = MaskSpec("frames", "for tests", "panobench.bench.masking:Frames")
+            spec = MaskSpec("frames", "for tests", "panobench.bench.run.masking:Frames")
             apply_mask(MaskChoice(spec), sequence, 0, print, frame_masks)
         return sequence
 
@@ -225,7 +225,7 @@ def test_masks_of_single_frames_and_what_a_method_left_out_are_stored_and_drawn(
 
     monkeypatch.setattr(masking, "Walker", Walker, raising=False)
     monkeypatch.setattr(Still, "finish", with_moving)
-    spec = MaskSpec("walker", "for tests", "panobench.bench.masking:Walker")
+    spec = MaskSpec("walker", "for tests", "panobench.bench.run.masking:Walker")
     monkeypatch.setitem(registry().entries["mask"], "walker", Registered(spec, "test"))
     still = registry().entries["method"]["fake-still"]
     honours = Registered(replace(still.spec, frame_masks=True), still.origin)

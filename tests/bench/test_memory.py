@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 
-from panobench.bench.memory import Meter
+from panobench.bench.run.memory import Meter
 
 MIB = 1 << 20
 

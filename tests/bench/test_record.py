@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from panobench.bench.fields import JsonRecord
-from panobench.bench.record import (
+from panobench.bench.records.fields import JsonRecord
+from panobench.bench.records.record import (
     CellRecord,
     DepthRecord,
     MapRecord,
@@ -22,7 +22,7 @@ from panobench.bench.record import (
     replace_record,
     write_record,
 )
-from panobench.bench.request import RunRequest
+from panobench.bench.run.request import RunRequest
 from panobench.errors import InputError
 from panobench.types import RunStatus
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.bench.record import RescoredRecord, RunRecord, read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.rescore import Protocol, rescore
-from panobench.bench.runner import execute
+from panobench.bench.records.record import RescoredRecord, RunRecord, read_record
+from panobench.bench.records.rescore import Protocol, rescore
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
 from panobench.cli.main import run as panobench
 from panobench.errors import InputError, UsageError
 from panobench.metrics.base import PROTOCOL_VERSION

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from panobench.bench.results import rig_remark
-from panobench.bench.views import ChosenFrames, FrameReader, MethodSequence
+from panobench.bench.records.results import rig_remark
+from panobench.bench.run.views import ChosenFrames, FrameReader, MethodSequence
 from panobench.cameras.rig import Rig
 from panobench.errors import DatasetError
 from panobench.testing import TinySequence, erp_camera, two_lenses

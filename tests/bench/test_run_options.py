@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from panobench.bench.request import RunRequest, run_option, run_options
+from panobench.bench.run.request import RunRequest, run_option, run_options
 from panobench.errors import UsageError
 
 

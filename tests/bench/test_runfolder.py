@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from panobench.bench.runfolder import PendingRun, read_run_json, write_frames, write_json
+from panobench.bench.records.runfolder import PendingRun, read_run_json, write_frames, write_json
 from panobench.errors import InputError, UsageError
 
 GOOD = {"schema": 1, "status": "ok"}

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from panobench.bench.observer import Observer
-from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import read_run_json
-from panobench.bench.runner import default_folder, execute
-from panobench.bench.views import FrameReader, MethodSequence
+from panobench.bench.records.runfolder import read_run_json
+from panobench.bench.run.observer import Observer
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import default_folder, execute
+from panobench.bench.run.views import FrameReader, MethodSequence
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.trajectory_io import read_tum
+from panobench.datasets.files.trajectory_io import read_tum
 from panobench.errors import PanobenchError, UnavailableError, UnknownNameError, UnsupportedError, UsageError
 from panobench.metrics.base import PROTOCOL_VERSION
 from panobench.plugins import PluginWarning

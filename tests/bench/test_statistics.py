@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from panobench.bench.statistics import change, holm, median_interval, rank, signed_rank_p, summarise
+from panobench.bench.records.statistics import change, holm, median_interval, rank, signed_rank_p, summarise
 
 
 def test_summary_of_repeats() -> None:

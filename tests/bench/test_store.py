@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from panobench.bench.cells import Cell, Planned
-from panobench.bench.request import RunRequest
-from panobench.bench.runfolder import read_run_json, write_json
-from panobench.bench.store import Store
+from panobench.bench.records.runfolder import read_run_json, write_json
+from panobench.bench.run.request import RunRequest
+from panobench.bench.suite.cells import Cell, Planned
+from panobench.bench.suite.store import Store
 from panobench.errors import InputError, OutputError
 
 CELL = Cell(RunRequest(method="m", dataset="tiny", sequence="a/../b"))
@@ -75,7 +75,7 @@ def test_a_lock_is_held_across_processes_and_freed_by_death(tmp_path: Path) -> N
     store = Store(tmp_path)
     code = (
         "import sys, time, json; from pathlib import Path\n"
-        "from panobench.bench.store import Store; from panobench.bench.cells import Cell\n"
+        "from panobench.bench.suite.store import Store; from panobench.bench.suite.cells import Cell\n"
         "with Store(Path(sys.argv[1])).lock(Cell.from_dict(json.loads(sys.argv[2]))) as mine:\n"
         "    print(mine, flush=True); time.sleep(300)"
     )

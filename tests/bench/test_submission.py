@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from panobench.bench.record import FramesRecord, MethodRecord, RunRecord, SpecRecord, write_record
-from panobench.bench.runfolder import FRAMES, TRAJECTORY, write_frames
-from panobench.bench.submission import check_file, write_submission
+from panobench.bench.records.record import FramesRecord, MethodRecord, RunRecord, SpecRecord, write_record
+from panobench.bench.records.runfolder import FRAMES, TRAJECTORY, write_frames
+from panobench.bench.records.submission import check_file, write_submission
 from panobench.cli.main import run as command
+from panobench.datasets.files.trajectory_io import read_tum, write_tum
 from panobench.datasets.hilti.calibration import published_calibration
-from panobench.datasets.trajectory_io import read_tum, write_tum
 from panobench.errors import InputError, UsageError
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.types import Trajectory

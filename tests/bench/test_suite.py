@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from suite_runs import Silent, cell, quick, run, statuses
 
-from panobench.bench.cells import Limits, Planned, Planner
-from panobench.bench.isolated import InfrastructureError, Stopper, run_isolated
-from panobench.bench.record import CellRecord
-from panobench.bench.runfolder import read_run_json
-from panobench.bench.store import Store
-from panobench.bench.suite import SuiteRunner, choose, make_plan, parse_retry
+from panobench.bench.records.record import CellRecord
+from panobench.bench.records.runfolder import read_run_json
+from panobench.bench.suite.cells import Limits, Planned, Planner
+from panobench.bench.suite.isolated import InfrastructureError, Stopper, run_isolated
+from panobench.bench.suite.runner import SuiteRunner, choose, make_plan, parse_retry
+from panobench.bench.suite.store import Store
 from panobench.errors import UnknownNameError
 from panobench.types import RunStatus
 
@@ -73,7 +73,7 @@ def test_changed_data_and_code_are_run_again(
     assert [r.reason for r in make_plan(cells, store).rows] == ["code, data, options or packages have changed"]
     run(store, cells)
     assert make_plan(cells, store).todo == []
-    from panobench.bench import fingerprint
+    from panobench.bench.suite import fingerprint
 
     source = (fake_plugin / "fake_plugin.py").read_text()
     monkeypatch.setattr(fingerprint, "_source", lambda name: source + "#" if name == "fake_plugin" else None)
@@ -142,8 +142,8 @@ def test_a_sequence_that_was_not_downloaded_is_a_row_and_a_wrong_built_in_name_a
 
 def test_a_raised_limit_is_a_reason(tmp_path: Path) -> None:
     def times_out(planned: Planned, suite: str, place: Path, stopper: Stopper) -> Path:
-        from panobench.bench.failure import write_failure
-        from panobench.bench.suite import entry
+        from panobench.bench.suite.failure import write_failure
+        from panobench.bench.suite.runner import entry
 
         about = entry(planned, suite)
         return write_failure(place / "r", planned.cell.request, RunStatus.TIMEOUT, "slow", cell=about)
@@ -178,7 +178,7 @@ def test_choosing_cells() -> None:
 
 
 def test_a_lost_supervisor_is_not_the_methods_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from panobench.bench import suite
+    from panobench.bench.suite import runner as suite
 
     attempts = []
 

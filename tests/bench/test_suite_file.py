@@ -12,7 +12,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from panobench.bench.suite_file import read_suite
+from panobench.bench.suite.file import read_suite
 from panobench.cli.main import run as command
 from panobench.errors import PanobenchError
 
@@ -176,8 +176,8 @@ PACKAGES = {
 def test_the_suites_that_come_with_panobench_are_read_and_name_what_there_is(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from panobench.bench.config import method_config
-    from panobench.bench.setup import check_camera
+    from panobench.bench.run.config import method_config
+    from panobench.bench.run.setup import check_camera
     from panobench.plugins import registry
     from panobench.specs import MethodSpec
 

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 from suite_runs import cell, processes, run, statuses
 
-from panobench.bench.runfolder import read_run_json
-from panobench.bench.store import Store
+from panobench.bench.records.runfolder import read_run_json
+from panobench.bench.suite.store import Store
 from panobench.errors import OutputError
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
@@ -138,7 +138,7 @@ def test_ctrl_c_of_a_suite_keeps_what_is_done(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_full_disk_stops_the_suite_and_harms_nothing(small_disk: Any) -> None:
-    from panobench.bench.suite import compute
+    from panobench.bench.suite.runner import compute
 
     store, first, second = Store(small_disk.path / "s"), cell(), cell(seed=1)
     run(store, [first], compute=compute)

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from suite_runs import cell, processes, run, statuses
 
-from panobench.bench import isolated
-from panobench.bench.cells import Limits
-from panobench.bench.isolated import InfrastructureError, Stopper, judge, run_isolated
-from panobench.bench.record import CellRecord
-from panobench.bench.runfolder import read_run_json
-from panobench.bench.store import Store
-from panobench.bench.supervisor import Result
+from panobench.bench.records.record import CellRecord
+from panobench.bench.records.runfolder import read_run_json
+from panobench.bench.suite import isolated
+from panobench.bench.suite.cells import Limits
+from panobench.bench.suite.isolated import InfrastructureError, Stopper, judge, run_isolated
+from panobench.bench.suite.store import Store
+from panobench.bench.suite.supervisor import Result
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
 
@@ -59,7 +59,7 @@ def test_a_fork_bomb_ends_its_cell_alone_and_leaves_no_orphan(tmp_path: Path, mo
     monkeypatch.setenv("FAKE_PIDS", str(tmp_path / "pids"))
     store = Store(tmp_path / "store")
     cells = [cell("bomb", limits=Limits(timeout_s=300, processes=25)), cell()]
-    from panobench.bench.suite import compute
+    from panobench.bench.suite.runner import compute
 
     run(store, cells, compute=compute)
     assert statuses(store, cells) == ["crashed", "ok"]
@@ -142,7 +142,7 @@ def test_children_are_gone_too_when_their_supervisor_is_killed(tmp_path: Path, m
     while words_of(tmp_path / "pids") != 3 and time.monotonic() < deadline:
         time.sleep(0.05)
     pids = [int(p) for p in (tmp_path / "pids").read_text().split()]
-    supervisors = processes(tmp_path / "place", b"panobench.bench.supervisor")
+    supervisors = processes(tmp_path / "place", b"panobench.bench.suite.supervisor")
     assert len(supervisors) == 1
     os.kill(int(supervisors[0]), signal.SIGKILL)
     thread.join(120)

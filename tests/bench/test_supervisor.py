@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from panobench.bench.supervisor import gpu_bytes
+from panobench.bench.suite.supervisor import gpu_bytes
 
 MIB = 1 << 20
 #: Starts a child in its group, one in a new session, and one through a double fork; writes their ids.
@@ -58,7 +58,7 @@ def write_job(tmp_path: Path, code: str, *arguments: str, parent: int | None = N
 
 
 def start(job: Path) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, "-m", "panobench.bench.supervisor", str(job)])
+    return subprocess.Popen([sys.executable, "-m", "panobench.bench.suite.supervisor", str(job)])
 
 
 def supervise(tmp_path: Path, code: str, *arguments: str, **limits: Any) -> dict[str, Any]:
@@ -189,7 +189,7 @@ def test_everything_dies_with_the_process_that_asked_for_it(tmp_path: Path) -> N
     starter = (
         "import json, os, subprocess, sys, time\n"
         "job = json.load(open(sys.argv[1])); job['parent'] = os.getpid(); json.dump(job, open(sys.argv[1], 'w'))\n"
-        "subprocess.Popen([sys.executable, '-m', 'panobench.bench.supervisor', sys.argv[1]])\n"
+        "subprocess.Popen([sys.executable, '-m', 'panobench.bench.suite.supervisor', sys.argv[1]])\n"
         "time.sleep(300)"
     )
     job = write_job(tmp_path, SPAWN + "time.sleep(300)", str(pids))

@@ -16,7 +16,7 @@ from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.views import view_rotation
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.converted import ConvertedSequence
+from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.errors import UnsupportedError
 from panobench.geometry import make_pose, so3_exp
 from panobench.types import Imu, NovelView, Trajectory

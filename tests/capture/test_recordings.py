@@ -14,8 +14,8 @@ from panobench.capture.sequence import CapturedSequence
 from panobench.capture.studio import RoomStudio
 from panobench.capture.walkers import Floor
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.disturbed import DisturbedDataset, DisturbedSequence
 from panobench.datasets.open import open_sequence
+from panobench.datasets.synthetic.disturbed import DisturbedDataset, DisturbedSequence
 from panobench.errors import UsageError
 from panobench.plugins import registry
 from panobench.specs import DatasetSpec

@@ -12,9 +12,9 @@ import pytest
 
 from panobench.cameras.factory import parse_camera_option
 from panobench.cli.main import run
-from panobench.datasets.converted import ConvertedSequence
+from panobench.datasets.formats.synpano import SynPano
 from panobench.datasets.open import open_dataset, open_sequence
-from panobench.datasets.synpano import SynPano
+from panobench.datasets.writing.converted import ConvertedSequence
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "datasets"))
 from dataset_samples import save, synpano_scene, video

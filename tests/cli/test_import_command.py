@@ -11,8 +11,8 @@ import pytest
 
 from panobench.cli.import_run import score_import
 from panobench.cli.main import run as panobench
-from panobench.datasets.trajectory_io import write_tum
-from panobench.datasets.trajectory_match import interpolate_poses
+from panobench.datasets.files.trajectory_io import write_tum
+from panobench.datasets.files.trajectory_match import interpolate_poses
 from panobench.geometry import Sim3, invert_pose, quaternion_from_matrix, so3_exp
 from panobench.testing import TinySequence
 from panobench.types import Trajectory
@@ -193,7 +193,7 @@ def test_a_name_of_several_lines_is_refused(root: Path, tmp_path: Path, truth: T
 
 
 def test_it_is_a_function_too(root: Path, tmp_path: Path, truth: Trajectory) -> None:
-    from panobench.bench.request import RunRequest
+    from panobench.bench.run.request import RunRequest
     from panobench.external.imported import ImportOptions
 
     write_tum(tmp_path / "them.tum", truth)

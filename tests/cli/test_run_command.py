@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from panobench.bench.record import FramesRecord
+from panobench.bench.records.record import FramesRecord
 from panobench.cli.main import run as panobench
 from panobench.cli.run import tracked_text
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.bench.map_views import MapSequence
+from panobench.bench.records.map_views import MapSequence
 from panobench.cameras.erp import ErpCamera
 from panobench.cli.main import run
-from panobench.datasets.guess import guess
-from panobench.datasets.images import decode_image, read_image
-from panobench.datasets.look_around import look_around_page
-from panobench.datasets.trajectory_io import write_tum
+from panobench.datasets.files.images import decode_image, read_image
+from panobench.datasets.files.trajectory_io import write_tum
+from panobench.datasets.inspection.guess import guess
+from panobench.datasets.inspection.look_around import look_around_page
 from panobench.geometry import directions_from_lonlat
 from panobench.splat.ply import write_ply
 from panobench.types import Trajectory

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from panobench.datasets.trajectory_io import rows_from_poses
+from panobench.datasets.files.trajectory_io import rows_from_poses
 from panobench.geometry import make_pose, so3_exp
 
 SIZE = (64, 32)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from panobench.datasets import archive
-from panobench.datasets.archive import is_archive, unpacked
+from panobench.datasets.files import archive
+from panobench.datasets.files.archive import is_archive, unpacked
 from panobench.errors import DatasetError
 
 FILES = {"room/images/1.png": b"one", "room/images/2.png": b"two", "room/times.txt": b"0\n1\n"}

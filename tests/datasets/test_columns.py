@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from dataset_samples import poses
 
-from panobench.datasets.columns import Columns, columns, is_header
-from panobench.datasets.imu_table import read_imu_table
-from panobench.datasets.synpano import read_pose_table
-from panobench.datasets.trajectory_io import read_euroc_csv, read_pose_csv, read_tum, rows_from_poses, time_unit
+from panobench.datasets.files.columns import Columns, columns, is_header
+from panobench.datasets.files.imu_table import read_imu_table
+from panobench.datasets.files.trajectory_io import read_euroc_csv, read_pose_csv, read_tum, rows_from_poses, time_unit
+from panobench.datasets.formats.synpano import read_pose_table
 from panobench.errors import DatasetError
 from panobench.external.imported import ImportOptions, read_imported
 from panobench.trajectories.matching import Frames, place

@@ -7,8 +7,8 @@ import pytest
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.reproject import Reprojector
-from panobench.datasets.disturb import Disturbances, Disturber, roll_columns, streak
 from panobench.datasets.open import open_sequence
+from panobench.datasets.synthetic.disturb import Disturbances, Disturber, roll_columns, streak
 from panobench.errors import UnknownNameError, UsageError
 from panobench.plugins import registry
 from panobench.specs import DatasetSpec
@@ -110,7 +110,7 @@ def test_only_full_panoramas_turn() -> None:
 
 
 def test_it_keeps_the_datasets_contract(monkeypatch: pytest.MonkeyPatch) -> None:
-    from panobench.datasets.disturbed import DisturbedDataset
+    from panobench.datasets.synthetic.disturbed import DisturbedDataset
 
     monkeypatch.setattr(DisturbedDataset, "sequences", lambda self: ["rooms/tiny:yaw=6:noise=0.03"])
     checks = check_spec(registry().get(DatasetSpec, "disturbed"))

@@ -12,7 +12,7 @@ from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.reproject import Reprojector
 from panobench.cameras.stitching import Stitcher
 from panobench.cameras.views import look_rotation
-from panobench.datasets.dual_fisheye import read_dual_fisheye
+from panobench.datasets.formats.dual_fisheye import read_dual_fisheye
 from panobench.datasets.open import open_sequence
 from panobench.errors import CalibrationError, DatasetError, UsageError
 

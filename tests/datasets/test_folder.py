@@ -10,9 +10,9 @@ import pytest
 from dataset_samples import panorama, poses, save
 
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets import writer as writer_module
-from panobench.datasets.folder import Folder
-from panobench.datasets.writer import SequenceWriter, write_sequence
+from panobench.datasets.formats.folder import Folder
+from panobench.datasets.writing import writer as writer_module
+from panobench.datasets.writing.writer import SequenceWriter, write_sequence
 from panobench.errors import CalibrationError, DatasetError, OutputError, UsageError
 from panobench.types import Imu, NovelView, Trajectory
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from panobench.datasets.guess import guess
+from panobench.datasets.inspection.guess import guess
 from panobench.errors import DatasetError
 
 

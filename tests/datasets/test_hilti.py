@@ -13,6 +13,7 @@ import yaml
 from panobench.capture.imu import ImuNoise
 from panobench.capture.stroll import StrollOptions
 from panobench.cli.main import run as command
+from panobench.datasets.files.trajectory_io import read_tum
 from panobench.datasets.hilti.calibration import (
     GRAVITY,
     STAMP_SHIFT_S,
@@ -25,7 +26,6 @@ from panobench.datasets.hilti.dataset import HiltiSequence, paired
 from panobench.datasets.hilti.layout import find_runs, run_name
 from panobench.datasets.hilti.synth import HiltiSynthOptions, write_hilti_run
 from panobench.datasets.open import open_sequence
-from panobench.datasets.trajectory_io import read_tum
 from panobench.errors import CalibrationError, DatasetError, UsageError
 from panobench.geometry import so3_log
 

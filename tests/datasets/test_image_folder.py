@@ -13,8 +13,8 @@ from PIL import Image
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.datasets.base import FrameSequence
+from panobench.datasets.files.image_times import ASSUMED_RATE_HZ, image_times
 from panobench.datasets.given import Given
-from panobench.datasets.image_times import ASSUMED_RATE_HZ, image_times
 from panobench.datasets.open import open_sequence
 from panobench.errors import CalibrationError, DatasetError, UsageError
 
@@ -218,7 +218,7 @@ def test_one_frame_in_two_formats_is_refused(tmp_path: Path) -> None:
 def test_cameras_whose_images_share_a_folder_are_sequences(
     tmp_path: Path, names: list[str], cameras: list[str]
 ) -> None:
-    from panobench.datasets.guess import guess
+    from panobench.datasets.inspection.guess import guess
     from panobench.datasets.open import open_dataset
 
     root = tmp_path / "walk"

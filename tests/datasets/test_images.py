@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from dataset_samples import panorama, save
 
-from panobench.datasets.image_header import image_size
-from panobench.datasets.images import (
+from panobench.datasets.files.image_header import image_size
+from panobench.datasets.files.images import (
     decode_image,
     encode_image,
     read_depth,

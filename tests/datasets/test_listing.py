@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from panobench.datasets.folder import find_sequences
-from panobench.datasets.listing import by_stem, children, one_of_each
-from panobench.datasets.palvio import Palvio
-from panobench.datasets.synpano import scene_names
-from panobench.datasets.video import video_files
+from panobench.datasets.files.listing import by_stem, children, one_of_each
+from panobench.datasets.formats.folder import find_sequences
+from panobench.datasets.formats.synpano import scene_names
+from panobench.datasets.formats.video import video_files
+from panobench.datasets.palvio.dataset import Palvio
 from panobench.errors import DatasetError
 
 

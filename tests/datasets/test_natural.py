@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from dataset_samples import panorama, save
 
-from panobench.datasets.images import list_images
-from panobench.datasets.natural import natural_names, natural_paths
-from panobench.datasets.omniblender import OmniBlender
-from panobench.datasets.synpano import SynPano
+from panobench.datasets.files.images import list_images
+from panobench.datasets.files.natural import natural_names, natural_paths
+from panobench.datasets.formats.omniblender import OmniBlender
+from panobench.datasets.formats.synpano import SynPano
 from panobench.external.imported import find_renders
 
 

@@ -11,8 +11,8 @@ from dataset_samples import panorama, pose_row, poses, save
 
 from panobench.cameras.calibration import write_calibration
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
+from panobench.datasets.formats.vo360 import left_to_right_handed
 from panobench.datasets.open import open_dataset, open_sequence
-from panobench.datasets.vo360 import left_to_right_handed
 from panobench.errors import CalibrationError, DatasetError
 from panobench.geometry import invert_pose, make_pose, quaternion_from_matrix, so3_exp
 

@@ -14,13 +14,13 @@ from rosbags.typesys import Stores, get_typestore
 from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.converted import ConvertedSequence
+from panobench.datasets.formats.synpano import SynPano
 from panobench.datasets.open import open_sequence
-from panobench.datasets.palvio import Palvio
-from panobench.datasets.palvio_calibration import STANDARD_GRAVITY, find_calibration, published_calibration
-from panobench.datasets.palvio_mounting import LOOKING_UP
-from panobench.datasets.palvio_synth import BagOptions, write_palvio_bag
-from panobench.datasets.synpano import SynPano
+from panobench.datasets.palvio.calibration import STANDARD_GRAVITY, find_calibration, published_calibration
+from panobench.datasets.palvio.dataset import Palvio
+from panobench.datasets.palvio.mounting import LOOKING_UP
+from panobench.datasets.palvio.synth import BagOptions, write_palvio_bag
+from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.errors import CalibrationError, DatasetError, UsageError
 from panobench.geometry import invert_pose, make_pose, so3_exp, so3_log
 

@@ -12,8 +12,8 @@ import pytest
 from panobench.cameras.calibration import write_calibration
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
+from panobench.datasets.files.trajectory_io import rows_from_poses
 from panobench.datasets.open import open_sequence
-from panobench.datasets.trajectory_io import rows_from_poses
 from panobench.errors import DatasetError
 from panobench.geometry import invert_pose
 from panobench.testing import TinySequence

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.rooms import RoomsDataset, RoomSequence
+from panobench.datasets.synthetic.rooms import RoomsDataset, RoomSequence
 from panobench.errors import UnknownNameError, UsageError
 from panobench.geometry import invert_pose
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from dataset_samples import panorama, poses, save, synpano_scene
 
+from panobench.datasets.formats.synpano import SynPano, raw_to_camera_axes
 from panobench.datasets.open import open_sequence
-from panobench.datasets.synpano import SynPano, raw_to_camera_axes
 from panobench.errors import DatasetError, UnknownNameError, UsageError
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from dataset_samples import poses
 
-from panobench.datasets.trajectory_io import read_euroc_csv, read_kitti, read_tum, write_tum
-from panobench.datasets.trajectory_match import interpolate_poses, match_to_times
+from panobench.datasets.files.trajectory_io import read_euroc_csv, read_kitti, read_tum, write_tum
+from panobench.datasets.files.trajectory_match import interpolate_poses, match_to_times
 from panobench.errors import DatasetError
 from panobench.geometry import make_pose, quaternion_from_matrix, so3_exp
 from panobench.types import Trajectory

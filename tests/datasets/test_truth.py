@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from panobench.bench.views import ChosenFrames
-from panobench.datasets.truth import MAX_GAP_S, truth_at_frames
+from panobench.bench.run.views import ChosenFrames
+from panobench.datasets.files.truth import MAX_GAP_S, truth_at_frames
 from panobench.geometry import make_pose, so3_exp, so3_log
 from panobench.testing import TinySequence
 from panobench.types import Trajectory

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from dataset_samples import video
 
-from panobench.datasets.guess import guess
-from panobench.datasets.images import encode_image
+from panobench.datasets.files.images import encode_image
+from panobench.datasets.formats.video import Video, video_files
+from panobench.datasets.inspection.guess import guess
 from panobench.datasets.open import open_sequence
-from panobench.datasets.video import Video, video_files
 from panobench.errors import DatasetError, UnknownNameError
 
 

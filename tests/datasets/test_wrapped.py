@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from panobench.cameras.erp import ErpCamera
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.converted import ConvertedSequence
-from panobench.datasets.disturb import Disturbances
-from panobench.datasets.disturbed import DisturbedSequence
+from panobench.datasets.synthetic.disturb import Disturbances
+from panobench.datasets.synthetic.disturbed import DisturbedSequence
+from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.testing import TinySequence, erp_camera
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.depth.bootstrap import MEDIAN_DEPTH, BootstrapDepth
 from panobench.depth.simple import ConstantDepth, OracleDepth
 from panobench.errors import UnavailableError, UsageError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.depth import bootstrap_check
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.depth.bootstrap_check import SolutionCheck, compare_poses

@@ -10,10 +10,10 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.converted import ConvertedSequence
-from panobench.datasets.disturb import roll_columns
-from panobench.datasets.disturbed import DisturbedDataset
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.disturb import roll_columns
+from panobench.datasets.synthetic.disturbed import DisturbedDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
+from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.depth.bootstrap import BootstrapDepth, BootstrapOptions
 from panobench.depth.bootstrap_solve import spread_over_path
 from panobench.photometric.overlap import ViewShare

@@ -277,7 +277,7 @@ def test_a_large_file_is_refused_unread(tmp_path: Path) -> None:
 
 
 def test_the_network_that_comes_along_beats_a_constant_by_far() -> None:
-    from panobench.datasets.rooms import RoomsDataset
+    from panobench.datasets.synthetic.rooms import RoomsDataset
     from panobench.depth.network import RoomsNetDepth
 
     sequence = RoomsDataset().open("tiny", width=64)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import yaml
 
-from panobench.bench.cells import Limits
-from panobench.bench.compare import NAMES, Rule
-from panobench.bench.suite_file import read_suite
+from panobench.bench.records.compare import NAMES, Rule
+from panobench.bench.suite.cells import Limits
+from panobench.bench.suite.file import read_suite
 from panobench.types import RunStatus
 
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "suites.md").read_text(encoding="utf-8")

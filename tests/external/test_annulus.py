@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from panobench.datasets.palvio_calibration import published_calibration
+from panobench.datasets.palvio.calibration import published_calibration
 from panobench.external.annulus import fit_annulus
 
 

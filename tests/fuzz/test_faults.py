@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from faults import BY_NAME, FAULTS, Fault, inflict, material
 
-from panobench.bench.views import FrameReader
+from panobench.bench.run.views import FrameReader
 from panobench.errors import DatasetError
 from panobench.testing.sequences import GivenImages, erp_camera
 
@@ -56,7 +56,7 @@ def test_depth_that_is_not_a_number_is_unknown(tmp_path: object) -> None:
     """Depth of a dataset may have NaN, infinite, zero and negative values; all are "unknown"."""
     from pathlib import Path
 
-    from panobench.datasets.images import read_depth
+    from panobench.datasets.files.images import read_depth
 
     path = Path(str(tmp_path)) / "d.npy"
     np.save(path, np.array([[1.0, np.nan, np.inf, -np.inf], [0.0, -2.0, 1e-3, 7.0]]))

@@ -20,8 +20,8 @@ import pytest
 from targets import material
 
 from panobench.datasets.bags.files import BagFile
-from panobench.datasets.folder import Folder
-from panobench.datasets.images import decode_image, encode_image, read_depth, read_size
+from panobench.datasets.files.images import decode_image, encode_image, read_depth, read_size
+from panobench.datasets.formats.folder import Folder
 from panobench.errors import CalibrationError, DatasetError, InputError, PanobenchError
 from panobench.splat.ply import read_ply
 
@@ -167,8 +167,8 @@ def test_names_in_tables_do_not_lead_out_of_a_sequence(name: str, tmp_path: Path
 @pytest.mark.parametrize("name", ["../mask.png", "/etc/passwd", "a/../../mask.png"])
 def test_files_named_in_calibrations_lie_beside_them(name: str, tmp_path: Path) -> None:
     from panobench.cameras.calibration import read_calibration
-    from panobench.datasets.dual_fisheye import read_dual_fisheye
-    from panobench.datasets.palvio_calibration import find_calibration
+    from panobench.datasets.formats.dual_fisheye import read_dual_fisheye
+    from panobench.datasets.palvio.calibration import find_calibration
 
     folder = tmp_path / "inner"
     folder.mkdir()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.palvio_synth import BodyMotion
+from panobench.datasets.palvio.synth import BodyMotion
 from panobench.geometry import Sim3, make_pose, so3_exp
 from panobench.inertial.samples import ImuNoise
 from panobench.inertial.visual import VisualPoses

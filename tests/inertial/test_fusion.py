@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from inertial_walks import Recording, drone, gravity_error_deg, record, seen, walk, without
 
-from panobench.datasets.palvio_synth import BodyMotion
+from panobench.datasets.palvio.synth import BodyMotion
 from panobench.geometry import umeyama
 from panobench.inertial.initialise import initialise
 from panobench.inertial.rotation import fit_rotation

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from inertial_walks import GRAVITY, Recording, drone, record, seen, walk
 
-from panobench.datasets.palvio_synth import BodyMotion
+from panobench.datasets.palvio.synth import BodyMotion
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.inertial.initialise import Initial, initialise
 from panobench.inertial.rotation import fit_rotation

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from inertial_walks import Recording, record, seen, walk
 
-from panobench.datasets.palvio_synth import BodyMotion
+from panobench.datasets.palvio.synth import BodyMotion
 from panobench.geometry import invert_pose, make_pose, so3_exp, so3_log
 from panobench.inertial.prediction import Predictor
 from panobench.inertial.samples import usable_samples

@@ -153,8 +153,8 @@ def test_the_record_has_what_a_run_calls(method: str, tmp_path: Path) -> None:
         import sys
         from pathlib import Path
         import numba
-        from panobench.bench.request import RunRequest
-        from panobench.bench.runner import execute
+        from panobench.bench.run.request import RunRequest
+        from panobench.bench.run.runner import execute
         from panobench.kernels import ahead
         from panobench.kernels.signatures import spell
         from panobench.kernels.watch import CompileWatch

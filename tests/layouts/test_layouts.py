@@ -10,8 +10,8 @@ import pytest
 from clips import clip
 from packed_spheres import SIZE, barred, half_panorama, projected, resized, shifted, world
 
-from panobench.datasets.image_folder import ImageFolder
-from panobench.datasets.video import Video
+from panobench.datasets.formats.image_folder import ImageFolder
+from panobench.datasets.formats.video import Video
 from panobench.errors import DatasetError, UnknownNameError, UsageError
 from panobench.layouts.cells import Panorama
 from panobench.layouts.evidence import tear

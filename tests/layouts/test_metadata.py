@@ -26,9 +26,9 @@ from packed_spheres import (
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.image_folder import ImageFolder
-from panobench.datasets.single_image import panorama_in
-from panobench.datasets.video import Video
+from panobench.datasets.formats.image_folder import ImageFolder
+from panobench.datasets.formats.video import Video
+from panobench.datasets.inspection.single_image import panorama_in
 from panobench.errors import DatasetError
 from panobench.layouts.cells import CUBE_3X2, Panorama
 from panobench.layouts.layout import WHOLE, Layout, rotation

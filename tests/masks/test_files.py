@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from clips import clip
 
-from panobench.datasets.folder import Folder
-from panobench.datasets.image_folder import ImageFolder
-from panobench.datasets.video import Video
+from panobench.datasets.formats.folder import Folder
+from panobench.datasets.formats.image_folder import ImageFolder
+from panobench.datasets.formats.video import Video
 from panobench.errors import DatasetError
 from panobench.masks.files import read_mask_file
 from panobench.masks.pixels import understand

@@ -11,7 +11,7 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.capture.sequence import CapturedSequence
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.converted import ConvertedSequence
+from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.geometry import so3_exp, so3_log
 from panobench.masks.base import MaskEstimate
 from panobench.masks.geometry import GeometryMask, Votes, _Frames, view_share

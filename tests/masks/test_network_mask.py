@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from panobench.bench.masking import choose_mask
+from panobench.bench.run.masking import choose_mask
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from panobench.bench.request import RunRequest
-from panobench.bench.setup import set_up_run
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.setup import set_up_run
 from panobench.cameras.kannala_brandt import KannalaBrandtCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.datasets.trajectory_io import write_tum
-from panobench.datasets.writer import write_sequence
+from panobench.datasets.files.trajectory_io import write_tum
+from panobench.datasets.writing.writer import write_sequence
 from panobench.errors import InputError, UnsupportedError
 from panobench.geometry import Sim3, so3_exp
 from panobench.methods.base import MethodContext

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.bench.record import read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
+from panobench.bench.records.record import read_record
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
 from panobench.cli.main import run as panobench
-from panobench.datasets.rooms import RoomsDataset
-from panobench.datasets.trajectory_io import read_tum
+from panobench.datasets.files.trajectory_io import read_tum
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.errors import UsageError
 from panobench.geometry import umeyama
 from panobench.maps.store import MapError, read_map

@@ -7,7 +7,7 @@ import pytest
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.datasets.disturb import Disturbances, Disturber
+from panobench.datasets.synthetic.disturb import Disturbances, Disturber
 from panobench.geometry import invert_pose, se3_exp, se3_log
 from panobench.photometric.align import align
 from panobench.photometric.pyramid import halve, luma_of_frame, pyramid

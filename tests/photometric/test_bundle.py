@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.geometry import invert_pose
 from panobench.photometric.bundle import Bundle, BundleOptions, refine
 from panobench.photometric.pyramid import F32, luma_of_frame

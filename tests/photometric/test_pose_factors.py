@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, se3_log, umeyama
 from panobench.photometric.bundle import Bundle, BundleOptions, refine
 from panobench.photometric.pose_factors import BundleFactor, LensUnits, log_scale, optimise_trajectory

@@ -8,9 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from panobench.bench.results import write_depth
-from panobench.bench.runfolder import write_frames, write_json
-from panobench.datasets.trajectory_io import write_tum
+from panobench.bench.records.results import write_depth
+from panobench.bench.records.runfolder import write_frames, write_json
+from panobench.datasets.files.trajectory_io import write_tum
 from panobench.geometry import make_pose, so3_exp
 from panobench.metrics.rendering import write_pair
 from panobench.types import DepthEstimate, Trajectory

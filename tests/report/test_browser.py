@@ -14,7 +14,7 @@ import pytest
 from chromium_pipe import Page, find_chromium
 from fake_runs import write_suite
 
-from panobench.bench.study_record import StudyResult, write_study
+from panobench.bench.records.study_record import StudyResult, write_study
 from panobench.report.build import write_report
 from panobench.studies.basin_figures import contour, shares, surface
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.bench.record import write_record
-from panobench.bench.rescore import Protocol, rescore
-from panobench.datasets.trajectory_io import read_tum, write_tum
+from panobench.bench.records.record import write_record
+from panobench.bench.records.rescore import Protocol, rescore
+from panobench.datasets.files.trajectory_io import read_tum, write_tum
 from panobench.errors import InputError
 from panobench.geometry import Sim3, so3_exp
 from panobench.report.collect import collect, read_run, trajectory_errors

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from panobench.datasets.trajectory_io import write_tum
+from panobench.datasets.files.trajectory_io import write_tum
 from panobench.geometry import Sim3, so3_exp
 from panobench.report import figures
 from panobench.report.collect import collect, read_run

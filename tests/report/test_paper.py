@@ -13,7 +13,7 @@ import pytest
 from fake_runs import write_run
 
 import panobench
-from panobench.bench.study_record import StudyResult, write_study
+from panobench.bench.records.study_record import StudyResult, write_study
 from panobench.cli.main import run as command
 from panobench.errors import UnknownNameError, UsageError
 from panobench.report.build import write_report

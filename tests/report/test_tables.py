@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from panobench.bench.paper import Published, load_published
-from panobench.bench.study_record import StoredStudy, StudyResult
+from panobench.bench.records.paper import Published, load_published
+from panobench.bench.records.study_record import StoredStudy, StudyResult
 from panobench.report.build import write_report
 from panobench.report.collect import collect
 from panobench.report.exports import FORMATS, csv_text, latex_text

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from panobench.bench.cells import Cell
-from panobench.bench.record import RunRecord
-from panobench.bench.store import Stored
-from panobench.bench.study_record import StudyResult
+from panobench.bench.records.record import RunRecord
+from panobench.bench.records.study_record import StudyResult
+from panobench.bench.suite.cells import Cell
+from panobench.bench.suite.store import Stored
 from panobench.errors import UnknownNameError, UsageError
 from panobench.plugins import registry
 from panobench.specs import StudySpec
@@ -120,7 +120,7 @@ def test_ablation_changes_one_thing_at_a_time(tmp_path: Path, answers: Any) -> N
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
 def test_every_variant_is_one_panogs_has(preset: str) -> None:
-    from panobench.bench.config import method_config
+    from panobench.bench.run.config import method_config
     from panobench.specs import MethodSpec
 
     spec = registry().get(MethodSpec, "panogs")
@@ -217,7 +217,7 @@ def test_robustness_shows_from_how_far_a_frame_is_found(
 
 
 def test_every_disturbance_of_the_robustness_study_is_one_there_is() -> None:
-    from panobench.datasets.disturb import Disturbances
+    from panobench.datasets.synthetic.disturb import Disturbances
 
     for text in robustness.DISTURBANCES:
         assert robustness.describe(text)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from panobench.bench.study_record import StoredStudy, StudyResult, read_study, write_study
+from panobench.bench.records.study_record import StoredStudy, StudyResult, read_study, write_study
 from panobench.cli.main import run as cli
 from panobench.errors import InputError
 from panobench.report.build import write_report

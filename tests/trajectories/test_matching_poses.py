@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.bench.views import ChosenFrames
+from panobench.bench.run.views import ChosenFrames
 from panobench.errors import InputError
 from panobench.testing import TinySequence
 from panobench.trajectories.matching import Frames, place

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.datasets.trajectory_io import rows_from_poses, tum_text
+from panobench.datasets.files.trajectory_io import rows_from_poses, tum_text
 from panobench.errors import DatasetError, InputError, PanobenchError, UsageError
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.trajectories.reading import read_poses, recognise

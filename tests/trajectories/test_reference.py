@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from panobench.bench.record import read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
-from panobench.bench.setup import open_input
-from panobench.datasets.trajectory_io import read_tum, write_tum
+from panobench.bench.records.record import read_record
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
+from panobench.bench.run.setup import open_input
+from panobench.datasets.files.trajectory_io import read_tum, write_tum
 from panobench.errors import InputError, UsageError
 from panobench.geometry import Sim3, so3_exp
 from panobench.testing import TinySequence

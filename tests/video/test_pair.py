@@ -12,7 +12,7 @@ import pytest
 from clips import clip, number, numbered
 from packed_spheres import projected, resized, world
 
-from panobench.datasets.video import Video
+from panobench.datasets.formats.video import Video
 from panobench.errors import DatasetError
 from panobench.video.pair import PairReader, even_strip, is_strip, open_recording, other_lens
 from panobench.video.reader import VideoReader

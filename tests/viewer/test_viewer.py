@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import panobench
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
 from panobench.errors import OutputError, UnavailableError, UnknownNameError, UsageError
 from panobench.plugins import registry
 from panobench.viewer.choose import viewer

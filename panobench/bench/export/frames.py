@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.bench.export.base import ExportOptions, poses_of
-from panobench.bench.request import RunRequest, run_options
+from panobench.bench.run.request import RunRequest, run_options
 from panobench.errors import InputError, PanobenchError, UsageError
 from panobench.geometry import quaternion_from_matrix
 from panobench.writing import write_whole
 
 if TYPE_CHECKING:
     from panobench.api import Run
-    from panobench.bench.views import ChosenFrames
+    from panobench.bench.run.views import ChosenFrames
     from panobench.cameras.base import Camera
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def frames_of(run: Run, width: int | None = None) -> ChosenFrames:
 
     Raises InputError where the data set is gone.
     """
-    from panobench.bench.setup import open_input
+    from panobench.bench.run.setup import open_input
 
     spec = run.record.spec
     request = RunRequest(**{o.name: spec.option(o.name) for o in run_options()})
@@ -95,7 +95,7 @@ def frames_of(run: Run, width: int | None = None) -> ChosenFrames:
 
 def write_pictures(run: Run, shots: list[Shot], target: Path, options: ExportOptions) -> None:
     """Write the pictures to images/. Raises InputError where the data set is gone."""
-    from panobench.datasets.images import write_image
+    from panobench.datasets.files.images import write_image
 
     sequence = frames_of(run)
     views = _views(run, options)

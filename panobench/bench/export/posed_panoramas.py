@@ -14,7 +14,7 @@ from panobench.photometric.pyramid import halve, luma_of_frame, pyramid
 from panobench.photometric.stereo import WorkingScale
 
 if TYPE_CHECKING:
-    from panobench.bench.views import ChosenFrames
+    from panobench.bench.run.views import ChosenFrames
 
 Float = NDArray[np.float32]
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def tum(run: Run, target: Path, options: ExportOptions) -> None:
-    from panobench.datasets.trajectory_io import tum_text
+    from panobench.datasets.files.trajectory_io import tum_text
 
     write_whole(target, tum_text(poses_of(run)))
 

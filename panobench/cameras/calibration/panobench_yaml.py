@@ -81,7 +81,7 @@ def _ring(
 
 
 def _read_mask(table: Table, path: Path, camera: Camera) -> NDArray[np.bool_]:
-    from panobench.datasets.images import decode_stored  # reads no more than its limits allow
+    from panobench.datasets.files.images import decode_stored  # reads no more than its limits allow
     from panobench.masks.pixels import understand
 
     name = table["mask"]

@@ -23,9 +23,9 @@ from panobench.datasets.bags.layout import find_bags
 from panobench.datasets.bags.sequence import BagSequence, BagSource
 from panobench.datasets.bags.topics import camera_topics, image_topic, imu_topic, truth_topic
 from panobench.datasets.base import FrameSequence
+from panobench.datasets.formats.image_folder import calibration_beside, for_size
+from panobench.datasets.formats.synpano import panorama_camera
 from panobench.datasets.found import FoundSequences
-from panobench.datasets.image_folder import calibration_beside, for_size
-from panobench.datasets.synpano import panorama_camera
 from panobench.errors import CalibrationError, DatasetError
 from panobench.geometry import make_pose, matrix_from_quaternion
 from panobench.masks.files import beside_video

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.datasets.image_header import HeaderError, image_size
-from panobench.datasets.images import MAX_SIDE, check_limits, decode_stored, to_rgb
+from panobench.datasets.files.image_header import HeaderError, image_size
+from panobench.datasets.files.images import MAX_SIDE, check_limits, decode_stored, to_rgb
 from panobench.errors import DatasetError
 
 RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from panobench.datasets.listing import children
-from panobench.datasets.natural import natural_paths
+from panobench.datasets.files.listing import children
+from panobench.datasets.files.natural import natural_paths
 from panobench.errors import DatasetError
 
 #: How bags' names end. ROS 2's may be compressed as a whole.

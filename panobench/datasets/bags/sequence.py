@@ -15,10 +15,10 @@ from panobench.datasets.bags.contents import Contents
 from panobench.datasets.bags.files import BagFile
 from panobench.datasets.bags.images import decode_image_message
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.checksums import files_provenance
-from panobench.datasets.image_sequence import scaled_camera
-from panobench.datasets.images import resize_image
-from panobench.datasets.truth import truth_at_frames
+from panobench.datasets.files.checksums import files_provenance
+from panobench.datasets.files.images import resize_image
+from panobench.datasets.files.truth import truth_at_frames
+from panobench.datasets.formats.image_sequence import scaled_camera
 from panobench.types import Imu, Trajectory
 
 

@@ -21,7 +21,11 @@ from panobench.datasets.bags.contents import Contents, Wanted, read_contents
 from panobench.datasets.bags.files import BagFile
 from panobench.datasets.bags.images import decode_image_message
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.checksums import files_provenance
+from panobench.datasets.files.checksums import files_provenance
+from panobench.datasets.files.images import resize_image
+from panobench.datasets.files.trajectory_io import read_tum
+from panobench.datasets.files.truth import truth_at_frames
+from panobench.datasets.formats.image_folder import for_size
 from panobench.datasets.found import FoundSequences
 from panobench.datasets.hilti.calibration import (
     GRAVITY,
@@ -34,10 +38,6 @@ from panobench.datasets.hilti.calibration import (
     published_calibration,
 )
 from panobench.datasets.hilti.layout import bag_of, find_runs, truth_of
-from panobench.datasets.image_folder import for_size
-from panobench.datasets.images import resize_image
-from panobench.datasets.trajectory_io import read_tum
-from panobench.datasets.truth import truth_at_frames
 from panobench.errors import DatasetError, UsageError
 from panobench.types import Imu, Trajectory
 

@@ -6,8 +6,8 @@ import re
 from pathlib import Path
 
 from panobench.datasets.bags.layout import find_bags
-from panobench.datasets.listing import children
-from panobench.datasets.natural import natural_paths
+from panobench.datasets.files.listing import children
+from panobench.datasets.files.natural import natural_paths
 from panobench.errors import DatasetError
 
 FLOORS = ("1", "2", "3", "4", "5", "6", "7", "EG", "UG1", "UG2")

@@ -23,6 +23,7 @@ from panobench.capture.imu import BodyMotion, ImuNoise, ImuSamples, sample_times
 from panobench.capture.lens_studio import LensStudio
 from panobench.capture.parts import Parts
 from panobench.capture.stroll import StrollOptions, stroll
+from panobench.datasets.files.trajectory_io import write_tum
 from panobench.datasets.hilti.calibration import (
     GRAVITY,
     IMAGE_RATE_HZ,
@@ -35,7 +36,6 @@ from panobench.datasets.hilti.calibration import (
     published_calibration,
 )
 from panobench.datasets.hilti.layout import RUN_NAME
-from panobench.datasets.trajectory_io import write_tum
 from panobench.errors import UnknownNameError, UsageError
 from panobench.geometry import invert_pose
 from panobench.rooms.kinds import KINDS

@@ -19,10 +19,10 @@ from panobench.depth.bootstrap import BootstrapDepth
 from panobench.maps.saved import SavedMap
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.cuts import CutDetector
-from panobench.methods.panogs.joining import join
-from panobench.methods.panogs.lookout import Lookout, nearby
 from panobench.methods.panogs.method import PanogsMethod, Phase
+from panobench.methods.panogs.several_maps.cuts import CutDetector
+from panobench.methods.panogs.several_maps.joining import join
+from panobench.methods.panogs.several_maps.lookout import Lookout, nearby
 from panobench.types import Estimate, Frame
 
 Pose = NDArray[np.float64]

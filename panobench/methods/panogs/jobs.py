@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from panobench.methods.panogs.factors import FactorGraph
-from panobench.methods.panogs.fixed_lag import FixedLag
-from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.factor_graph.factors import FactorGraph
+from panobench.methods.panogs.fixed_lag.stage import FixedLag
+from panobench.methods.panogs.mapping.mapper import Mapper
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.photometric.overlap import ViewWidth
 

@@ -13,11 +13,11 @@ from panobench.cameras.base import Camera
 from panobench.errors import UsageError
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.continuation import add_places
-from panobench.methods.panogs.exposure import ExposureMatcher
-from panobench.methods.panogs.place_recognition import Places
-from panobench.methods.panogs.relocalise import Relocaliser
-from panobench.methods.panogs.tracker import Tracked, Tracker
+from panobench.methods.panogs.factor_graph.place_recognition import Places
+from panobench.methods.panogs.several_maps.continuation import add_places
+from panobench.methods.panogs.tracking.exposure import ExposureMatcher
+from panobench.methods.panogs.tracking.relocalise import Relocaliser
+from panobench.methods.panogs.tracking.tracker import Tracked, Tracker
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth
 from panobench.splat.gaussians import GaussianMap

@@ -21,27 +21,27 @@ from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.maps.saved import SavedMap
 from panobench.masks.frame_masks import FrameMasks
 from panobench.methods.base import LiveMap, MethodContext, OnlineMethod
-from panobench.methods.panogs.agreement import agreement
 from panobench.methods.panogs.config import PanogsConfig, StitchOptions
-from panobench.methods.panogs.continuation import add_places, continue_map, saved_map
-from panobench.methods.panogs.exposure import ExposureMatcher, is_blank
-from panobench.methods.panogs.exposure_chain import ExposureChain
-from panobench.methods.panogs.factors import FactorGraph
-from panobench.methods.panogs.first_view import well_seen
-from panobench.methods.panogs.fixed_lag import FixedLag
-from panobench.methods.panogs.ghosts import remove_ghosts
+from panobench.methods.panogs.factor_graph.factors import FactorGraph
+from panobench.methods.panogs.factor_graph.place_recognition import Places
+from panobench.methods.panogs.factor_graph.revisits import RevisitFactors
+from panobench.methods.panogs.first_map.exposure_chain import ExposureChain
+from panobench.methods.panogs.first_map.start import FirstMap, Start
+from panobench.methods.panogs.first_map.view import well_seen
+from panobench.methods.panogs.fixed_lag.stage import FixedLag
 from panobench.methods.panogs.jobs import BackgroundJobs
-from panobench.methods.panogs.late_rates import LateRates, renew_image
-from panobench.methods.panogs.mapper import Mapper
-from panobench.methods.panogs.place_recognition import Places
-from panobench.methods.panogs.rectify import Rectifier
-from panobench.methods.panogs.relocalise import Relocaliser
-from panobench.methods.panogs.revisits import RevisitFactors
-from panobench.methods.panogs.rig_frames import rig_frames
-from panobench.methods.panogs.rolling_shutter import RollingShutter
-from panobench.methods.panogs.seam import Seam
-from panobench.methods.panogs.start import FirstMap, Start
-from panobench.methods.panogs.tracker import Tracked, Tracker
+from panobench.methods.panogs.mapping.ghosts import remove_ghosts
+from panobench.methods.panogs.mapping.mapper import Mapper
+from panobench.methods.panogs.rectification.late_rates import LateRates, renew_image
+from panobench.methods.panogs.rectification.rectify import Rectifier
+from panobench.methods.panogs.rectification.rolling_shutter import RollingShutter
+from panobench.methods.panogs.rectification.seam import Seam
+from panobench.methods.panogs.rigs.frames import rig_frames
+from panobench.methods.panogs.several_maps.continuation import add_places, continue_map, saved_map
+from panobench.methods.panogs.tracking.agreement import agreement
+from panobench.methods.panogs.tracking.exposure import ExposureMatcher, is_blank
+from panobench.methods.panogs.tracking.relocalise import Relocaliser
+from panobench.methods.panogs.tracking.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth

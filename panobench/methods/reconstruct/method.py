@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.trajectory_io import read_tum
-from panobench.datasets.trajectory_match import match_to_times
+from panobench.datasets.files.trajectory_io import read_tum
+from panobench.datasets.files.trajectory_match import match_to_times
 from panobench.errors import InputError, UnsupportedError
 from panobench.methods.base import BatchMethod, MethodContext
 from panobench.methods.reconstruct.config import ReconstructConfig

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from panobench.bench.config import override
+from panobench.bench.run.config import override
 from panobench.methods.panogs.config import PanogsConfig
 
 

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from panogs_options import configured
 
-from panobench.bench.config import override
+from panobench.bench.run.config import override
 from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.depth.base import DepthEstimator
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.depth.simple import OracleDepth
 from panobench.geometry import umeyama
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import PRESETS, KeyframeOptions, PanogsConfig
-from panobench.methods.panogs.keyframes import is_keyframe
+from panobench.methods.panogs.mapping.keyframes import is_keyframe
 from panobench.methods.panogs.method import PanogsMethod
 from panobench.methods.splatting.covisibility import overlap, update_window
 from panobench.methods.splatting.seeding import equal_area_pixels, fill_depth, seed_gaussians, surface_normals

@@ -6,7 +6,7 @@ import numpy as np
 
 from panobench.cameras.erp import ErpCamera
 from panobench.methods.panogs.config import MappingOptions, PanogsConfig
-from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.mapping.mapper import Mapper
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.culling import STEPS, VisibilityCulling
 from panobench.methods.splatting.views import View

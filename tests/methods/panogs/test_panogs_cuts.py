@@ -6,7 +6,7 @@ import numpy as np
 
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import so3_exp
-from panobench.methods.panogs.cuts import CutDetector
+from panobench.methods.panogs.several_maps.cuts import CutDetector
 from panobench.testing import TinySequence, erp_camera
 from panobench.types import Frame
 

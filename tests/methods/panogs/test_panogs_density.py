@@ -6,13 +6,13 @@ from panogs_options import configured
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.geometry import invert_pose, make_pose, matrix_from_quaternion
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.map_optimiser import LEFT_OUT
-from panobench.methods.panogs.mapper import Mapper
-from panobench.methods.panogs.seed_pattern import EVEN, LEVELS, SeedPattern
-from panobench.methods.panogs.split import SplitRule, halves, too_coarse
+from panobench.methods.panogs.mapping.map_optimiser import LEFT_OUT
+from panobench.methods.panogs.mapping.mapper import Mapper
+from panobench.methods.panogs.mapping.seed_pattern import EVEN, LEVELS, SeedPattern
+from panobench.methods.panogs.mapping.split import SplitRule, halves, too_coarse
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.splat.gaussians import GaussianMap

@@ -8,7 +8,7 @@ from cuda_devices import DEVICES
 from panogs_options import configured
 
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.depth.simple import OracleDepth
 from panobench.gpu.device import Device
 from panobench.methods.base import MethodContext

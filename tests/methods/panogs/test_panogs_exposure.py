@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from panobench.bench.record import read_record
-from panobench.bench.request import RunRequest
-from panobench.bench.runner import execute
+from panobench.bench.records.record import read_record
+from panobench.bench.run.request import RunRequest
+from panobench.bench.run.runner import execute
 from panobench.cameras.erp import ErpCamera
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.geometry import invert_pose
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import ExposureOptions
-from panobench.methods.panogs.exposure import ExposureMatcher
-from panobench.methods.panogs.exposure_chain import ExposureChain
+from panobench.methods.panogs.first_map.exposure_chain import ExposureChain
+from panobench.methods.panogs.first_map.start import FirstMap
 from panobench.methods.panogs.method import PanogsMethod
-from panobench.methods.panogs.start import FirstMap
+from panobench.methods.panogs.tracking.exposure import ExposureMatcher
 from panobench.photometric.overlap import ViewWidth
 from panobench.splat.loss import pixel_weights
 from panobench.types import DepthEstimate, Frame

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.rig_panorama import LensCentres
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs.config import FactorOptions
-from panobench.methods.panogs.factors import NEAREST, FactorGraph, bundle_options, softened
-from panobench.methods.panogs.rig_scale import RigScale
+from panobench.methods.panogs.factor_graph.factors import NEAREST, FactorGraph, bundle_options, softened
+from panobench.methods.panogs.rigs.scale import RigScale
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewWidth

@@ -10,7 +10,7 @@ from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.geometry import so3_exp
 from panobench.methods.base import MethodContext
-from panobench.methods.panogs.first_view import well_seen
+from panobench.methods.panogs.first_map.view import well_seen
 from panobench.methods.panogs.method import PanogsMethod
 from panobench.methods.splatting.views import View
 from panobench.types import DepthEstimate, Frame

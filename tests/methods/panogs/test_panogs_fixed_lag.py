@@ -11,17 +11,17 @@ import pytest
 from panogs_options import configured
 
 from panobench.datasets.base import FrameSequence
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.geometry import invert_pose
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import FixedLagOptions
-from panobench.methods.panogs.frame_buffer import BufferedFrame, FrameBuffer
-from panobench.methods.panogs.lag_smoother import LagSmoother
-from panobench.methods.panogs.map_optimiser import MapOptimiser
-from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.fixed_lag.frame_buffer import BufferedFrame, FrameBuffer
+from panobench.methods.panogs.fixed_lag.lag_smoother import LagSmoother
+from panobench.methods.panogs.fixed_lag.swept_depth import DepthSweep, SweptDepth
+from panobench.methods.panogs.mapping.map_optimiser import MapOptimiser
+from panobench.methods.panogs.mapping.mapper import Mapper
 from panobench.methods.panogs.method import PanogsMethod
-from panobench.methods.panogs.swept_depth import DepthSweep, SweptDepth
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.pyramid import luma_of_frame, pyramid

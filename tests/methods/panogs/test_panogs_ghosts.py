@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.frame_votes import FrameVotes
-from panobench.methods.panogs.ghosts import close_hole, ghosts_of, remove_ghosts
-from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.mapping.frame_votes import FrameVotes
+from panobench.methods.panogs.mapping.ghosts import close_hole, ghosts_of, remove_ghosts
+from panobench.methods.panogs.mapping.mapper import Mapper
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.splat.gaussians import GaussianMap

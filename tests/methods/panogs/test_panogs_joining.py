@@ -9,8 +9,8 @@ from panobench.depth.bootstrap import BootstrapDepth
 from panobench.geometry import Sim3, invert_pose, make_pose, so3_exp
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import AtlasOptions
-from panobench.methods.panogs.joining import join, similarity
 from panobench.methods.panogs.method import PanogsMethod
+from panobench.methods.panogs.several_maps.joining import join, similarity
 from panobench.testing import TinySequence, erp_camera
 from panobench.types import Frame
 from tests.methods.panogs.panogs_options import configured

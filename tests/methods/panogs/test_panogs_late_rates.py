@@ -8,10 +8,10 @@ import pytest
 from panobench.cameras.erp import ErpCamera
 from panobench.geometry import make_pose, so3_exp
 from panobench.methods.panogs.config import RollingShutterOptions, StitchOptions
-from panobench.methods.panogs.late_rates import LateRates
-from panobench.methods.panogs.rectify import Rectifier
-from panobench.methods.panogs.rolling_shutter import RollingShutter
-from panobench.methods.panogs.seam import Seam
+from panobench.methods.panogs.rectification.late_rates import LateRates
+from panobench.methods.panogs.rectification.rectify import Rectifier
+from panobench.methods.panogs.rectification.rolling_shutter import RollingShutter
+from panobench.methods.panogs.rectification.seam import Seam
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 

@@ -7,7 +7,7 @@ from panogs_options import configured
 
 from panobench.cameras.erp import ErpCamera
 from panobench.methods.base import MethodContext
-from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.mapping.mapper import Mapper
 from panobench.methods.panogs.method import PanogsMethod
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from panogs_options import configured
 
-from panobench.datasets.disturb import Disturbances, Disturber
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.disturb import Disturbances, Disturber
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.depth.simple import OracleDepth
 from panobench.geometry import make_pose
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.frame_votes import FrameVotes
+from panobench.methods.panogs.mapping.frame_votes import FrameVotes
 from panobench.methods.panogs.method import PanogsMethod
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View

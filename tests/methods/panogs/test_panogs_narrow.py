@@ -10,15 +10,15 @@ from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.factory import parse_camera_option
 from panobench.cameras.pinhole import PinholeCamera
-from panobench.datasets.converted import ConvertedSequence
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
+from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.depth.base import DepthEstimator
 from panobench.depth.bootstrap import BootstrapDepth
 from panobench.depth.simple import OracleDepth
 from panobench.geometry import umeyama
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import PanogsConfig
-from panobench.methods.panogs.frame_buffer import BufferedFrame
+from panobench.methods.panogs.fixed_lag.frame_buffer import BufferedFrame
 from panobench.methods.panogs.method import PanogsMethod
 from panobench.methods.splatting.views import View
 from panobench.testing.sequences import TinySequence, rotating_pose, smooth_pose

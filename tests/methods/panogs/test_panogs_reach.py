@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from panobench.geometry import make_pose, so3_exp
-from panobench.methods.panogs.reach import Reach
+from panobench.methods.panogs.tracking.reach import Reach
 
 AT_ONCE = make_pose(np.eye(3), [0.1, 0.0, 0.0])
 

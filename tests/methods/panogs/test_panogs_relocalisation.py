@@ -14,10 +14,10 @@ from panobench.cameras.pinhole import PinholeCamera
 from panobench.depth.simple import OracleDepth
 from panobench.geometry import make_pose, so3_exp
 from panobench.methods.base import MethodContext
-from panobench.methods.panogs.agreement import agreement
-from panobench.methods.panogs.mapper import Mapper
+from panobench.methods.panogs.factor_graph.place_recognition import Places, yawed
+from panobench.methods.panogs.mapping.mapper import Mapper
 from panobench.methods.panogs.method import PanogsMethod
-from panobench.methods.panogs.place_recognition import Places, yawed
+from panobench.methods.panogs.tracking.agreement import agreement
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric.pyramid import F32, luma_of_frame, pyramid

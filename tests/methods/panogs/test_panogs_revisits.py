@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from panobench.datasets.rooms import RoomsDataset
+from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs.config import FactorOptions, RevisitOptions
-from panobench.methods.panogs.factors import FactorGraph
-from panobench.methods.panogs.recognition import Way
-from panobench.methods.panogs.revisits import RevisitFactors, _Reference, between, stretches
+from panobench.methods.panogs.factor_graph.factors import FactorGraph
+from panobench.methods.panogs.factor_graph.recognition import Way
+from panobench.methods.panogs.factor_graph.revisits import RevisitFactors, _Reference, between, stretches
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.views import View
 from panobench.photometric import pose_factors

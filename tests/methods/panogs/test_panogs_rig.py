@@ -16,8 +16,8 @@ from panobench.geometry import make_pose, so3_exp, umeyama
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.config import PanogsConfig, RigOptions, RollingShutterOptions
 from panobench.methods.panogs.method import PanogsMethod
-from panobench.methods.panogs.rig_frames import RigFrames
-from panobench.methods.panogs.rig_scale import RigScale
+from panobench.methods.panogs.rigs.frames import RigFrames
+from panobench.methods.panogs.rigs.scale import RigScale
 from panobench.testing import TinySequence, erp_camera, two_lenses
 from panobench.types import Estimate, Frame
 

@@ -11,9 +11,9 @@ from panobench.cameras.pinhole import PinholeCamera
 from panobench.cameras.row_times import row_times
 from panobench.geometry import make_pose, so3_exp
 from panobench.methods.panogs.config import RollingShutterOptions, StitchOptions
-from panobench.methods.panogs.rectify import Rectifier, resampled
-from panobench.methods.panogs.rolling_shutter import RollingShutter
-from panobench.methods.panogs.seam import Seam
+from panobench.methods.panogs.rectification.rectify import Rectifier, resampled
+from panobench.methods.panogs.rectification.rolling_shutter import RollingShutter
+from panobench.methods.panogs.rectification.seam import Seam
 from panobench.types import Frame
 
 READOUT = 0.02

@@ -8,9 +8,9 @@ import pytest
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.two_lenses import TwoLenses
 from panobench.methods.panogs.config import RollingShutterOptions, StitchOptions
-from panobench.methods.panogs.rectify import Rectifier
-from panobench.methods.panogs.rolling_shutter import RollingShutter
-from panobench.methods.panogs.seam import Seam
+from panobench.methods.panogs.rectification.rectify import Rectifier
+from panobench.methods.panogs.rectification.rolling_shutter import RollingShutter
+from panobench.methods.panogs.rectification.seam import Seam
 
 CAMERA = ErpCamera(256, 128)
 RADIUS = 1.2

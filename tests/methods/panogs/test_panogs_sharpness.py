@@ -10,8 +10,8 @@ from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.methods.panogs.config import PRESETS, PanogsConfig
-from panobench.methods.panogs.map_optimiser import MapOptimiser
-from panobench.methods.panogs.sharpness import Sharpness
+from panobench.methods.panogs.mapping.map_optimiser import MapOptimiser
+from panobench.methods.panogs.mapping.sharpness import Sharpness
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
 from panobench.methods.splatting.trainable_map import TrainableMap
 from panobench.methods.splatting.views import View

@@ -1,0 +1,1 @@
+"""Files that datasets are made of: images, times, tables, trajectories, archives."""

@@ -1,0 +1,1 @@
+"""Layouts of files that datasets come in, one module each."""

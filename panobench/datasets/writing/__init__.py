@@ -1,0 +1,1 @@
+"""Sequences seen by other cameras, and written in panobench's own format."""

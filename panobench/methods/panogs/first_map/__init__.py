@@ -1,0 +1,1 @@
+"""The start: frames wait until the depth of one of them is known."""

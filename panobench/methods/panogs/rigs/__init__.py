@@ -1,0 +1,1 @@
+"""Rigs of several lenses: their frames as one picture, and their scale."""
