@@ -258,6 +258,14 @@ def test_a_bag_without_the_topic_lists_those_it_has(bag: Path, tmp_path: Path) -
     )
 
 
+def test_a_bag_without_an_imu_says_so(bag: Path, tmp_path: Path) -> None:
+    path = rewrite(bag, tmp_path / "x.bag", lambda t, m: None if "imu" in t else (t, m))
+    copy_calibration(bag, tmp_path)
+    sequence = Palvio(path).open()
+    assert sequence.imu is None
+    assert "there are no inertial samples on /mavros/imu/data" in sequence.remarks()
+
+
 def test_a_topic_of_another_type(bag: Path, tmp_path: Path) -> None:
     path = rewrite(bag, tmp_path / "x.bag", lambda t, m: (IMAGE_TOPIC, m) if "imu" in t else None)
     fails(path, bag, r"messages of type sensor_msgs/msg/Imu, expected sensor_msgs/msg/Image")
@@ -304,7 +312,7 @@ def test_truncated_and_foreign_bags(bag: Path, tmp_path: Path) -> None:
     path = tmp_path / "x.bag"
     for length in (len(data) - 100, len(data) // 2, 5000, 100):
         path.write_bytes(data[:length])
-        fails(path, bag, "truncated or damaged")
+        fails(path, bag, "truncated or damaged: .* run `rosbag reindex`" if length > 100 else "truncated or damaged")
     path.write_bytes(b"SQLite format 3\0" + data[:1000])
     fails(path, bag, "truncated or damaged")
     path.write_bytes(b"")

@@ -82,6 +82,8 @@ def _first_line(error: Exception) -> str:
 def _hint(reason: str) -> str:
     if "not indexed" in reason:
         return "the bag has no index (its recording was cut off); run `rosbag reindex` on a copy first"
+    if "index looks damaged" in reason:
+        return "the bag is truncated or damaged: its index cannot be read; run `rosbag reindex` on a copy first"
     if "end magic" in reason or "MCAP footer" in reason:
         return "the bag is truncated or damaged: it has no footer (its recording was cut off); run `mcap recover` on it"
     if "not ros2" in reason:

@@ -61,6 +61,8 @@ def _read_bag(path: Path, name: str, calibration: PalvioCalibration) -> BagSourc
     if len(samples):
         imu = Imu(samples[:, 0] - calibration.time_offset_s, samples[:, 1:4], samples[:, 4:7])
     calibration, remarks = mounted_by_gravity(calibration, imu)
+    if imu is None:
+        remarks = [*remarks, f"there are no inertial samples on {calibration.imu_topic}"]
     if len(poses):
         body = Trajectory(poses[:, 0], make_pose(matrix_from_quaternion(poses[:, 4:8]), poses[:, 1:4]))
         recorded = camera_truth(body, calibration)
