@@ -46,6 +46,7 @@ from panobench.methods.sparse.scale import adjust_scale, is_due, scale_sigma
 from panobench.methods.sparse.session import Session
 from panobench.methods.sparse.stitched import undo_stitching
 from panobench.methods.sparse.tracking import Aligner, Pyramid, Tracked, track_frame, update_candidates
+from panobench.photometric.overlap import ViewWidth
 from panobench.types import Estimate, Frame, Trajectory
 
 Array = NDArray[np.float64]
@@ -75,6 +76,7 @@ class SparseMethod(OnlineMethod):
         self.rig_faces = None if rig is None else build_rig_faces(rig, self.config.face_pixels, levels)
         self.face_set = self.rig_faces or build_faces(camera, self.config.face_pixels, levels)
         self.levels = self.config.levels or levels_for(self.face_set.focal)
+        self.narrow = ViewWidth.of(camera) is ViewWidth.NARROW
         self.finder = RotationFinder(self.face_set, self.levels)
         self.rng = np.random.default_rng(context.seed)
         self.pool = ThreadPoolExecutor(2)
@@ -182,11 +184,13 @@ class SparseMethod(OnlineMethod):
         """Predicted poses T_cw, the most likely first, and what holds their rotation. The costly ones are computed only
         when they are needed.
 
-        expected: T_wc by the IMU, whose rotation is a prior. Should no pose be found with it, none is held by it.
+        expected: T_wc by the IMU. Its rotation is a prior in a narrow view, which can trade a turn for a step aside; a
+        wide one tells the two apart better than a gyroscope. Should no pose be found with it, none is held by it.
         """
         if expected is not None:
             guess = invert_pose(expected)
-            yield guess, RotationPrior(guess[:3, :3], self.inertial.turn_sigma(time_s))
+            held = RotationPrior(guess[:3, :3], self.inertial.turn_sigma(time_s)) if self.narrow else None
+            yield guess, held
         if session.lost == 0:
             yield session.velocity @ session.T_cw, None
             yield make_pose(self.finder.rotation(), np.zeros(3)) @ session.T_cw, None
