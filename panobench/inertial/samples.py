@@ -117,7 +117,7 @@ def usable_samples(imu: Imu, frame_times: Array | None = None) -> Samples:
         raise InertialError(f"the IMU has {1 / step:.0f} samples a second; {RATE_MIN:.0f} are the least that help")
     if frame_times is not None:
         _check_overlap(times, frame_times, remarks)
-    accel = _in_si(accel, remarks)
+    accel = _in_si(accel, step, remarks)
     saturated = _saturated(gyro, GYRO_RANGE) | _saturated(accel, ACCEL_RANGE)
     if saturated.mean() > SATURATED_MAX:
         raise InertialError(f"{saturated.mean():.0%} of the IMU's samples are saturated")
@@ -173,17 +173,22 @@ def _sorted(imu: Imu, remarks: list[str]) -> tuple[Array, Array, Array]:
     return times, gyro, accel
 
 
-def _in_si(accel: Array, remarks: list[str]) -> Array:
-    """Specific force in m/s^2; it is in g if at rest it is about one."""
-    size = float(np.median(np.linalg.norm(accel, axis=1)))
-    if 0.75 * STANDARD_GRAVITY < size < 1.3 * STANDARD_GRAVITY:
-        return accel
-    if 0.75 < size < 1.3:
-        remarks.append(f"the accelerometer measures {size:.2f} at rest: it is taken to be in g, not m/s^2")
-        return accel * STANDARD_GRAVITY
-    if 750 < size < 1300:
-        remarks.append(f"the accelerometer measures {size:.0f} at rest: it is taken to be in milli-g, not m/s^2")
-        return accel * (STANDARD_GRAVITY / 1000)
+def _in_si(accel: Array, step: float, remarks: list[str]) -> Array:
+    """Specific force in m/s^2; it is in g if it is about one, by the median of the samples or of means over a second.
+
+    The samples of a fast walk are too large by half, but their means are not. Means that are much smaller than the
+    samples have no gravity in them.
+    """
+    n = max(1, min(len(accel), round(1 / step)))
+    seconds = accel[: len(accel) // n * n].reshape(-1, n, 3).mean(axis=1)
+    size, mean = (float(np.median(np.linalg.norm(v, axis=1))) for v in (accel, seconds))
+    for unit, name in ((STANDARD_GRAVITY, ""), (1.0, "g"), (1000.0, "milli-g")):
+        if not any(0.75 * unit < s < 1.3 * unit for s in ((size, mean) if mean > 0.6 * size else (size,))):
+            continue
+        if name:
+            taken = f"it is taken to be in {name}, not m/s^2"
+            remarks.append(f"the accelerometer measures {size:.{0 if unit > 1 else 2}f} at rest: {taken}")
+        return accel * (STANDARD_GRAVITY / unit) if name else accel
     hint = "; gravity seems to have been taken out of it" if size < 0.6 * STANDARD_GRAVITY else ""
     raise InertialError(f"the accelerometer measures {size:.3g} at rest, neither 9.8 m/s^2 nor 1 g{hint}")
 
