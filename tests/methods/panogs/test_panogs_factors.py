@@ -13,6 +13,7 @@ from panobench.cameras.rig_panorama import LensCentres
 from panobench.datasets.synthetic.rooms import RoomsDataset
 from panobench.geometry import invert_pose, se3_exp, umeyama
 from panobench.methods.panogs.config import FactorOptions
+from panobench.methods.panogs.factor_graph.depth import FactorDepth
 from panobench.methods.panogs.factor_graph.factors import NEAREST, FactorGraph, bundle_options, softened
 from panobench.methods.panogs.rigs.scale import RigScale
 from panobench.methods.panogs.trajectory import AnchoredTrajectory
@@ -184,6 +185,34 @@ def test_images_are_softened_where_a_mask_hides_part_of_the_view() -> None:
     assert np.isfinite(soft[:49]).all()
     assert not np.isfinite(soft[49:]).any()
     assert soft[10, 0] == pytest.approx(np.array([1, 2, 1]) @ luma[9:12, [-1, 0, 1]] @ np.array([1, 2, 1]) / 16)
+
+
+def test_a_factor_does_not_keep_a_wrong_depth_where_a_mask_hides_part_of_the_view() -> None:
+    """Its frames tell the depth; as of an estimate from few frames, what it is given is wrong by 10%, in patches."""
+    scale, luma, depth, T_wc = room()
+    mask = np.ones(scale.valid.shape, bool)
+    mask[100:] = False
+    masked = WorkingScale.of(scale.camera.with_mask(mask), 256)
+    coarse = np.random.default_rng(0).normal(0, 0.1, (8, 16))
+    wrong = depth[0] * np.exp(np.kron(coarse, np.ones((16, 16)))).astype(np.float32)
+    error = {}
+    for sweeps in (True, False):
+        g = FactorGraph(masked, ViewWidth.WIDE, FactorOptions(reach=16))
+        g.depth = g.depth if sweeps else None
+        for i in range(FRAMES):
+            g.add(i, np.where(mask, luma[i], np.nan).astype(np.float32))
+        g.make_factor(0, tracked(list(T_wc)), wrong)
+        found = invert_pose(g.factors[0].bundle.T_fr)[:, :3, 3]
+        error[sweeps] = misfit(np.stack([_at(p) for p in found]), T_wc[g.factors[0].frames])
+    assert error[True] < 0.6 * error[False]
+    known = np.ones(mask.shape, np.float32)
+    assert FactorDepth(masked).sweep(luma[0], luma[1:4], T_wc[1:4], known) is known  # too few
+
+
+def _at(position: Array) -> Array:
+    T = np.eye(4)
+    T[:3, 3] = position
+    return T
 
 
 def test_on_a_rig_far_frames_are_left_out() -> None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from panobench.geometry import invert_pose
 from panobench.methods.panogs.config import FactorOptions
+from panobench.methods.panogs.factor_graph.depth import FactorDepth
 from panobench.methods.panogs.factor_graph.revisits import RevisitFactors
 from panobench.methods.panogs.rigs.scale import RigScale
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
@@ -72,6 +73,10 @@ class _Frame:
     depth_map: F32 | None = None
 
 
+#: A frame that a reference is compared with: its number, its index in the sequence and its luma (h, w).
+_Other = tuple[int, int, F32]
+
+
 class FactorGraph:
     """Frames that moved are numbered in order; the images of the first and of the last ones are kept."""
 
@@ -85,8 +90,10 @@ class FactorGraph:
     ) -> None:
         self.scale, self.options, self.revisits, self.rig_scale = scale, options, revisits, rig_scale
         self.bundle_options = bundle_options(scale, width, rig_scale is not None)
-        #: Where a mask hides part of a wide view, what is left has to tell poses all the more exactly.
+        #: Where a mask hides part of a wide view, what is left has to tell poses all the more exactly: images are
+        #: softened, and the depth of references is swept.
         self.softens = width is ViewWidth.WIDE and rig_scale is None and seen_share(scale) < 1
+        self.depth = FactorDepth(scale) if self.softens else None
         self.frames: list[_Frame] = []
         self.factors: list[BundleFactor] = []
         self.changed = False  # a factor has come since the last optimisation
@@ -155,21 +162,29 @@ class FactorGraph:
             return
         known = cv2.resize(depth_map, s.valid.shape[::-1], interpolation=cv2.INTER_NEAREST).astype(np.float32)
         known = np.where(s.valid & np.isfinite(known), known, 0).astype(np.float32)
+        others = self._others(k)
+        if self.depth is not None and others:
+            T_fr = trajectory.relative(target.index, [index for _, index, _ in others])
+            known = self.depth.sweep(target.luma, [luma for _, _, luma in others], T_fr, known)
         sample = known[:: max(known.shape[0] // 32, 1), :: max(known.shape[1] // 64, 1)]
         if not again or self._depth_changed(target.depth_map, sample):
             target.depth_map = sample.copy()
-            self._make(k, known, trajectory)
+            self._make(k, known, others, trajectory)
         if again and self.revisits is not None and not self._reversed:
             factor = next((f for f in self.factors if f.reference == k), None)
             small = factor and marginalise(factor, (factor.frames - k) % o.every == 0)
             self.revisits.add(k, target.index, self._small(target.luma, self.revisits.scale), small)
             self.revisits.look(trajectory, depth_map)
 
-    def _make(self, k: int, known: F32, trajectory: AnchoredTrajectory) -> None:
+    def _others(self, k: int) -> list[_Other]:
+        """The frames within reach of frame ``k`` whose images are kept, by number, index and luma."""
+        first, last = max(k - self.options.reach, 0), min(k + self.options.reach, len(self.frames) - 1)
+        near = [(n, self.frames[n]) for n in range(first, last + 1) if n != k]
+        return [(n, f.index, f.luma) for n, f in near if f.luma is not None]
+
+    def _make(self, k: int, known: F32, others: list[_Other], trajectory: AnchoredTrajectory) -> None:
         """known (h, w): depth of frame ``k`` at the working size, 0 where unknown."""
-        s, target, reach = self.scale, self.frames[k], self.options.reach
-        near = [(n, self.frames[n]) for n in range(max(k - reach, 0), min(k + reach + 1, len(self.frames)))]
-        others = [(n, f.index, f.luma) for n, f in near if n != k and f.luma is not None]
+        s, target = self.scale, self.frames[k]
         if target.luma is None or not others:
             return
         T_fr = trajectory.relative(target.index, [index for _, index, _ in others])
