@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from panobench.datasets.base import FrameSequence
 
 
+#: A number that ``details`` may have: the share of the view that does not move as a rigid scene, too much to hide.
+NOT_RIGID = "not_rigid"
+
+
 @dataclass(frozen=True)
 class MaskEstimate:
     """What an estimator found.

@@ -20,7 +20,7 @@ from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import FrameSequence
 from panobench.errors import UnsupportedError
 from panobench.geometry import so3_log
-from panobench.masks.base import MaskEstimate, MaskEstimator
+from panobench.masks.base import NOT_RIGID, MaskEstimate, MaskEstimator
 from panobench.masks.evidence import Searcher, Small
 from panobench.masks.pairs import Faces, Pair, find_pair
 from panobench.masks.panorama import Panorama
@@ -72,6 +72,7 @@ class GeometryMask(MaskEstimator):
         share = view_share(camera.with_mask(None).solid_angle(), hidden)
         if share > MOST:
             message = f"{share:.0%} of the view does not move as a rigid scene: nothing was hidden"
+            details[NOT_RIGID] = round(share, 4)
             return MaskEstimate(everything, ok=False, message=message, details=details)
         if share < LEAST:
             return MaskEstimate(everything, message="nothing moves with the camera", details=details)

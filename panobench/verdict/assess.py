@@ -20,11 +20,13 @@ def assess(
     metrics: Mapping[str, float | None] | None = None,
     others: Mapping[str, Trajectory] | None = None,
     rejected: str = "",
+    not_rigid: float = 0.0,
 ) -> Verdict:
     """The verdict on an estimate for ``given`` frames.
 
     metrics: what the run's own map scored at the frames themselves. others: trajectories of other methods on the same
     frames, by name. rejected: why the run does not count anyway ("" if it does); the verdict is then "failed".
+    not_rigid: the share of the view that does not move as a rigid scene, where it is too much to hide.
     """
     asked = others or {}
     opinions = [path.second_method(estimate.trajectory, t, name, given) for name, t in asked.items()]
@@ -35,6 +37,7 @@ def assess(
         own.first_depth(estimate, confirmed=bool(agreeing)),
         own.agreement(estimate),
         own.reprojection(estimate),
+        own.rigid_scene(not_rigid),
         steady_height(estimate),
         own.inertial(estimate),
         own.joined_maps(estimate),

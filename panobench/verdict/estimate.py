@@ -18,6 +18,8 @@ PSNR_GOOD, PSNR_BAD = 19.0, 13.0
 CONTRADICTED = 0.4
 #: Trust in a path whose parts were put together by looks alone.
 BY_LOOKS = 0.4
+#: Trust in a path where most of the view does not move as a rigid scene: all methods may follow the rest, or that.
+NOT_RIGID = 0.4
 #: Median share of textured blocks in which frame and render agree.
 AGREEMENT_GOOD, AGREEMENT_BAD = 0.65, 0.35
 #: Median over the frames of their reprojection error, in pixels, that right runs stay below, and that no right run has;
@@ -104,4 +106,15 @@ def reprojection(estimate: Estimate) -> Evidence | None:
         "reprojection", falling(usual / finer, REPROJECTION_GOOD, REPROJECTION_BAD),
         f"in half of the frames features are more than {usual:.1f} pixels from where the map has them",
         "mask what moves with the camera (--mask), or record with less motion in view",
+    )  # fmt: skip
+
+
+def rigid_scene(not_rigid: float) -> Evidence | None:
+    """Whether most of the view moves as a rigid scene does. not_rigid: the share that does not, if it is too much."""
+    if not not_rigid:
+        return None
+    return Evidence(
+        "rigid scene", NOT_RIGID,
+        f"{100 * not_rigid:.0f}% of the view does not move as a rigid scene: too much to hide",
+        "mask what moves with the camera by hand (--mask FILE)",
     )  # fmt: skip

@@ -26,6 +26,8 @@ SAME_JUMP = 0.2
 AGREE, DISAGREE = 0.008, 0.03
 #: Frames that two trajectories must share to be compared, and the share of the frames given.
 SHARED_MIN, SHARED_SHARE = 8, 0.3
+#: Trust in a path of whose frames a second method has too few: what made it fail may have misled this one.
+UNCONFIRMED = 0.45
 
 
 def coverage(tracked: int, given: int) -> Evidence:
@@ -92,11 +94,15 @@ def _usual(speed: NDArray[np.float64]) -> NDArray[np.float64]:
 def second_method(trajectory: Trajectory, other: Trajectory, name: str, given: int) -> Evidence | None:
     """Agreement with another method's path of the same frames after Sim(3) alignment.
 
-    None where the other method found too little to say anything.
+    None where the camera does not move. A method that lost its way confirms nothing.
     """
     _, mine, theirs = np.intersect1d(trajectory.times, other.times, return_indices=True)
     if len(mine) < max(SHARED_MIN, SHARED_SHARE * given):
-        return None
+        return Evidence(
+            f"check by {name}", UNCONFIRMED, f"'{name}' lost its way: it has {len(other)} of {given} frames",
+            "look at the path in `panobench report`; mask what moves with the camera (--mask), or check it by another "
+            "method (--check)",
+        )  # fmt: skip
     p, q = trajectory.positions[mine], other.positions[theirs]
     deviation = path_deviation(p, q)
     if deviation is None:

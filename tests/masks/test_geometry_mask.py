@@ -13,7 +13,8 @@ from panobench.capture.sequence import CapturedSequence
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.geometry import so3_exp, so3_log
-from panobench.masks.base import MaskEstimate
+from panobench.masks import geometry
+from panobench.masks.base import NOT_RIGID, MaskEstimate
 from panobench.masks.geometry import GeometryMask, Votes, _Frames, view_share
 from panobench.masks.panorama import Panorama
 from panobench.plugins import registry
@@ -59,6 +60,14 @@ def test_whoever_carries_the_camera_is_hidden(name: str) -> None:
     assert len(found.details["pairs"]) > 5  # five left half a face unhidden that turns
     assert recall > 0.9
     assert wrongly < 0.08  # images of 192 pixels: a rim of two degrees is a fifth of the operator
+
+
+def test_too_much_to_hide_is_said_and_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(geometry, "MOST", 0.1)
+    found = estimate(walk("tiny+car-20"))
+    assert not found.ok
+    assert found.valid.all()
+    assert found.details[NOT_RIGID] > 0.15
 
 
 def test_whoever_turns_in_a_levelled_picture_is_hidden_where_she_is() -> None:

@@ -51,8 +51,14 @@ def test_the_second_methods_world_and_scale_do_not_matter() -> None:
     assert evidence.trust == 1.0
 
 
-def test_a_second_method_that_saw_little_says_nothing() -> None:
-    assert second_method(walk(), walk().select(np.arange(5)), "sparse", 60) is None
+def test_a_second_method_that_lost_its_way_confirms_nothing() -> None:
+    verdict = assess(Estimate(walk()), 60, others={"sparse": walk().select(np.arange(5))})
+    assert verdict.word is Word.DOUBTFUL
+    assert "5 of 60 frames" in verdict.reasons[0]
+    assert assess(Estimate(walk()), 60, others={"sparse": walk().select(np.arange(0))}).word is Word.DOUBTFUL
+
+
+def test_a_camera_that_stands_still_cannot_be_compared() -> None:
     still = Trajectory(walk().times, np.tile(np.eye(4), (60, 1, 1)))
     assert second_method(walk(), still, "sparse", 60) is None
     assert path_deviation(walk().positions, still.positions) is None
@@ -147,6 +153,12 @@ def test_features_that_do_not_fit_one_scene_are_a_doubt() -> None:
         verdict = assess(Estimate(walk(), frames=rows), 60)
         assert verdict.word is word
     assert "1.2 pixels" in verdict.reasons[0]
+
+
+def test_a_view_that_mostly_does_not_move_as_a_rigid_scene_is_a_doubt_whoever_agrees() -> None:
+    verdict = assess(Estimate(walk()), 60, others={"sparse": walk()}, not_rigid=0.86)
+    assert verdict.word is Word.DOUBTFUL
+    assert "86%" in verdict.reasons[0]
 
 
 def test_an_imu_that_contradicts_the_camera_is_a_doubt_and_one_that_agrees_or_is_no_help_is_none() -> None:

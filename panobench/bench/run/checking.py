@@ -97,7 +97,7 @@ def check_trajectory(
     observer: Observer,
     hidden: NDArray[np.bool_] | None = None,
 ) -> Trajectory | None:
-    """The check's trajectory of the first ``given`` frames; None if it cannot run here or found nothing.
+    """The check's trajectory of the first ``given`` frames, as far as it came; None if it cannot run here.
 
     It gets the run's input, without the pixels ``hidden`` (H, W), its own defaults and the run's seed.
     """

@@ -15,7 +15,7 @@ import numpy as np
 
 from panobench import kernel_cache
 from panobench.bench.records.provenance import provenance
-from panobench.bench.records.record import CellRecord, RunRecord, VerdictRecord
+from panobench.bench.records.record import CellRecord, MaskRecord, RunRecord, VerdictRecord
 from panobench.bench.records.results import run_record, save_map, timing_record, write_run
 from panobench.bench.records.runfolder import LOG, RENDERS, PendingRun, check_free
 from panobench.bench.run.blas import one_blas_thread
@@ -31,6 +31,7 @@ from panobench.bench.run.tracking import Pose, Tracked, track_batch, track_onlin
 from panobench.bench.run.truth import align_clocks
 from panobench.bench.run.views import held_out
 from panobench.kernels.watch import CompileWatch
+from panobench.masks.base import NOT_RIGID
 from panobench.methods.base import BatchMethod, MethodContext
 from panobench.metrics.base import MetricInput
 from panobench.plugins import PluginWarning, registry
@@ -145,7 +146,7 @@ def _run(
         record.remarks.append(mask.message)
     if watch.note():
         record.remarks.append(str(watch.note()))
-    record.verdict = _verdict(request, setup, tracked, scores, folder, log, observer)
+    record.verdict = _verdict(request, setup, tracked, scores, mask, folder, log, observer)
     log(f"verdict: {record.verdict.word} ({record.verdict.confidence:.2f})")
     for remark in record.remarks:
         if remark not in said:
@@ -232,6 +233,7 @@ def _verdict(
     setup: RunSetup,
     tracked: Tracked,
     scores: Scores,
+    mask: MaskRecord | None,
     folder: Path,
     log: RunLog,
     observer: Observer,
@@ -249,7 +251,8 @@ def _verdict(
             others[check] = found
     ended_badly = tracked.status not in (RunStatus.OK, RunStatus.INTERRUPTED)
     rejected = f"{tracked.status.value}: {tracked.message}" if ended_badly else ""
-    return VerdictRecord.of(assess(estimate, tracked.given, scores.metrics, others, rejected), check)
+    not_rigid = ((mask and mask.details) or {}).get(NOT_RIGID, 0.0)
+    return VerdictRecord.of(assess(estimate, tracked.given, scores.metrics, others, rejected, not_rigid), check)
 
 
 def _seed(seed: int) -> None:
