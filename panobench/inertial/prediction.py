@@ -38,6 +38,8 @@ HEADING_S, GLIDE_S = 20.0, 3.0
 TURN_SIGMA_DEG, DRIFT_DEG_S, TURN_SHARE = 0.02, 0.02, 0.003
 #: A camera looks at most so far from where it is expected to.
 HEADING_DEG = 5.0
+#: Fewest samples that a calibration looks at.
+SAMPLES_MIN = 20
 #: Most frames that a calibration looks at.
 FRAMES_MAX = 300
 
@@ -181,6 +183,8 @@ class Predictor:
             return
         first, stop = np.searchsorted(self.samples.times, [past.times[0] - 0.6, time + 0.6])
         near = _slice(self.samples, int(first), int(stop))
+        if len(near) < SAMPLES_MIN:  # clocks that are apart; it is said at the end
+            return
         try:
             self.rotation = fit_rotation(past, near)
             self.initial = initialise(past, near, self.rotation)

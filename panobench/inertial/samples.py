@@ -22,8 +22,10 @@ RATE_MIN = 45.0
 GAP_INTERVALS, GAP_S = 4.0, 0.03
 #: As many samples in a row at the largest value that was ever measured are saturated.
 SATURATED_RUN = 3
-#: No sensor's range ends below this: rad/s, m/s^2.
+#: No sensor's range ends below this: rad/s, m/s^2. Values that end below it all the same were cut off later: so many of
+#: them are at the very end, and so many times as many as at the next value, while a sensor's steps thin out.
 GYRO_RANGE, ACCEL_RANGE = 1.5, 1.8 * STANDARD_GRAVITY
+CUT_LEAST, CUT_TIMES = 30, 10
 #: Share of the frames' time that samples have to cover, and share below which it is said.
 COVERED_MIN, COVERED_ALL = 0.5, 0.95
 #: Share of saturated samples from which the samples are not used.
@@ -193,11 +195,17 @@ def _in_si(accel: Array, step: float, remarks: list[str]) -> Array:
     raise InertialError(f"the accelerometer measures {size:.3g} at rest, neither 9.8 m/s^2 nor 1 g{hint}")
 
 
+def _cut_off(size: Array) -> bool:
+    """Whether values (N,) end as if they had been cut off, and not as a motion or a sensor's noise ends."""
+    levels, counts = np.unique(size, return_counts=True)
+    return len(levels) > CUT_TIMES and counts[-1] >= CUT_LEAST and counts[-1] > CUT_TIMES * counts[-2]
+
+
 def _saturated(values: Array, least: float) -> NDArray[np.bool_]:
-    """(N,) samples in a run of equal values at the end of an axis' range, which is at ``least`` or beyond."""
+    """(N,) samples in a run of equal values at the end of an axis' range, which is at ``least`` or beyond or was cut off."""
     out = np.zeros(len(values), bool)
     for size in np.abs(values).T:
-        if size.max() < least:
+        if size.max() < least and not _cut_off(size):
             continue
         at = size >= size.max() * (1 - 1e-6)
         run = np.convolve(at, np.ones(SATURATED_RUN, np.int64))[: len(at)] >= SATURATED_RUN

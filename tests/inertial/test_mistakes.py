@@ -57,6 +57,7 @@ MISTAKES: dict[str, tuple[Callable[[Imu], Imu], str]] = {
     "another recording": (lambda i: record(drone(SECONDS), SECONDS, rate_hz=200.0).imu, "contradicts"),
     "another clock": (lambda i: replace(i, times=i.times + 1e4), "less than half is covered"),
     "slow": (lambda i: Imu(i.times[::10], i.gyro[::10], i.accel[::10], i.T_body_cam), "samples a second"),
+    "cut off": (lambda i: replace(i, accel=np.clip(i.accel, -9.9, 9.9)), "are saturated"),
     "saturated": (lambda i: replace(i, gyro=np.clip(4 * np.sin(i.times)[:, None] + i.gyro, -2, 2)), "are saturated"),
 }
 

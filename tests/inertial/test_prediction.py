@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inertial_walks import Recording, record, seen, walk
@@ -109,3 +111,12 @@ def test_a_gap_of_the_samples_is_no_expectation() -> None:
         found.record(index, float(recording.times[index]))
     assert found.expect(9.95) is not None
     assert found.expect(10.2) is None
+
+
+def test_samples_of_another_clock_are_no_expectation_and_no_crash() -> None:
+    recording = record(walk(3.0), 3.0, rate_hz=200.0)
+    late = replace(recording.imu, times=recording.imu.times + 100.0)
+    found = Predictor(usable_samples(late), lambda index: recording.truth[index])
+    for index, time in enumerate(recording.times):
+        found.record(index, float(time))
+        assert found.expect(float(time) + 0.03) is None
