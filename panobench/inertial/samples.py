@@ -202,7 +202,7 @@ def _cut_off(size: Array) -> bool:
 
 
 def _saturated(values: Array, least: float) -> NDArray[np.bool_]:
-    """(N,) samples in a run of equal values at the end of an axis' range, which is at ``least`` or beyond or cut off."""
+    """(N,) samples in a run of equal values at the end of an axis' range, which is from ``least`` on or cut off."""
     out = np.zeros(len(values), bool)
     for size in np.abs(values).T:
         if size.max() < least and not _cut_off(size):
