@@ -9,18 +9,20 @@ if they agree plainly better there; then every frame has a mask of its own.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.cameras.base import Camera
 from panobench.cameras.reproject import Reprojector
 from panobench.datasets.base import FrameSequence
 from panobench.errors import UnsupportedError
 from panobench.geometry import so3_log
 from panobench.masks.base import NOT_RIGID, MaskEstimate, MaskEstimator
+from panobench.masks.empty import empty_part
 from panobench.masks.evidence import Searcher, Small
 from panobench.masks.pairs import Faces, Pair, find_pair
 from panobench.masks.panorama import Panorama
@@ -54,10 +56,18 @@ class GeometryMask(MaskEstimator):
 
     def estimate(self, sequence: FrameSequence, seed: int = 0) -> MaskEstimate:
         """Raises what reading the sequence raises."""
-        camera = sequence.camera
+        empty = empty_part(sequence)
+        found = self._carrier(sequence, sequence.camera.with_mask(sequence.camera.valid_mask() & ~empty), seed)
+        if not empty.any():
+            return found
+        share = view_share(sequence.camera.with_mask(None).solid_angle(), empty)
+        return replace(found, message=f"{share:.1%} of the view is black in all frames; {found.message}")
+
+    def _carrier(self, sequence: FrameSequence, camera: Camera, seed: int) -> MaskEstimate:
+        """What moves with the camera, of what ``camera`` sees."""
         everything = camera.valid_mask()
         try:
-            frames = _Frames(sequence)
+            frames = _Frames(sequence, camera)
         except UnsupportedError as error:
             return MaskEstimate(everything, ok=False, message=str(error))
         pairs = frames.pairs(np.random.default_rng(seed))
@@ -149,10 +159,9 @@ class TurnedMasks(Mapping[int, NDArray[np.bool_]]):
 class _Frames:
     """Small pictures of the frames that are looked at."""
 
-    def __init__(self, sequence: FrameSequence) -> None:
+    def __init__(self, sequence: FrameSequence, camera: Camera) -> None:
         self.sequence = sequence
         self.searcher = Searcher(WIDTH)
-        camera = sequence.camera
         self._reprojector = Reprojector(camera, self.searcher.panorama.camera)
         #: (H, W) of the panorama: the camera sees it, away from the border of what it sees.
         self.visible = ~grown(self.searcher.panorama, ~self._reprojector.valid, BORDER)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from panobench.types import Estimate, Trajectory
+from panobench.types import Estimate
 from panobench.verdict import estimate as own
 from panobench.verdict import trajectory as path
-from panobench.verdict.base import Evidence, Verdict, decide
+from panobench.verdict.base import TRUSTED, Evidence, Verdict, decide
 from panobench.verdict.height import steady_height
 
 #: Trust in a second method's opinion from which it confirms the path.
@@ -18,19 +18,26 @@ def assess(
     estimate: Estimate,
     given: int,
     metrics: Mapping[str, float | None] | None = None,
-    others: Mapping[str, Trajectory] | None = None,
+    others: Mapping[str, Estimate] | None = None,
     rejected: str = "",
     not_rigid: float = 0.0,
 ) -> Verdict:
     """The verdict on an estimate for ``given`` frames.
 
-    metrics: what the run's own map scored at the frames themselves. others: trajectories of other methods on the same
-    frames, by name. rejected: why the run does not count anyway ("" if it does); the verdict is then "failed".
+    metrics: what the run's own map scored at the frames themselves. others: by name, what other methods say of the
+    same frames. rejected: why the run does not count anyway ("" if it does); the verdict is then "failed".
     not_rigid: the share of the view that does not move as a rigid scene, where it is too much to hide.
     """
     asked = others or {}
-    opinions = [path.second_method(estimate.trajectory, t, name, given) for name, t in asked.items()]
-    agreeing = [t for t, opinion in zip(asked.values(), opinions) if opinion is not None and opinion.trust > CONFIRMED]
+    opinions = [
+        path.second_method(estimate.trajectory, e.trajectory, name, given, unsure=_unsure(e))
+        for name, e in asked.items()
+    ]
+    agreeing = [
+        e.trajectory
+        for e, opinion in zip(asked.values(), opinions)
+        if opinion is not None and opinion.trust > CONFIRMED
+    ]
     found: list[Evidence | None] = [
         path.coverage(len(estimate.trajectory), given),
         path.steadiness(estimate.trajectory, agreeing),
@@ -47,3 +54,9 @@ def assess(
     if rejected:
         found.append(Evidence("status", 0.0, rejected))
     return decide([e for e in found if e is not None])
+
+
+def _unsure(other: Estimate) -> bool:
+    """Whether a second method's own features do not fit its path."""
+    fit = own.reprojection(other)
+    return fit is not None and fit.trust < TRUSTED

@@ -91,13 +91,20 @@ def _usual(speed: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([max(float(np.quantile(a, 0.9)), floor) for a in around])
 
 
-def second_method(trajectory: Trajectory, other: Trajectory, name: str, given: int) -> Evidence | None:
+def second_method(
+    trajectory: Trajectory, other: Trajectory, name: str, given: int, *, unsure: bool = False
+) -> Evidence | None:
     """Agreement with another method's path of the same frames after Sim(3) alignment.
 
-    None where the camera does not move. A method that lost its way confirms nothing.
+    unsure: the other's own evidence speaks against it: where it disagrees, it is more likely to be the wrong one.
+
+    None where the camera does not move, or this path is too short. A method that lost its way confirms nothing.
     """
     _, mine, theirs = np.intersect1d(trajectory.times, other.times, return_indices=True)
-    if len(mine) < max(SHARED_MIN, SHARED_SHARE * given):
+    enough = max(SHARED_MIN, SHARED_SHARE * given)
+    if len(mine) < enough <= len(other):
+        return None
+    if len(mine) < enough:
         return Evidence(
             f"check by {name}", UNCONFIRMED, f"'{name}' lost its way: it has {len(other)} of {given} frames",
             "look at the path in `panobench report`; mask what moves with the camera (--mask), or check it by another "
@@ -107,9 +114,10 @@ def second_method(trajectory: Trajectory, other: Trajectory, name: str, given: i
     deviation = path_deviation(p, q)
     if deviation is None:
         return None
+    doubted = ", whose own features do not fit it" if unsure else ""
     return Evidence(
-        f"check by {name}", falling(deviation, AGREE, DISAGREE),
-        f"its path and that of '{name}' differ by {100 * deviation:.2f}% of the path",
+        f"check by {name}", falling(deviation, AGREE, DISAGREE, UNCONFIRMED if unsure else 0.02),
+        f"its path and that of '{name}'{doubted} differ by {100 * deviation:.2f}% of the path",
         "one of the two is wrong: compare both in `panobench report`, mask what moves with the camera (--mask), or "
         "use the method whose path looks right",
     )  # fmt: skip

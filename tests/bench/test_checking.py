@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from panobench.bench.records.record import read_record
-from panobench.bench.run.checking import BACKWARDS, Backwards, check_trajectory, chosen_check
+from panobench.bench.run.checking import BACKWARDS, Backwards, check_estimate, chosen_check
 from panobench.bench.run.observer import Observer
 from panobench.bench.run.request import RunRequest
 from panobench.bench.run.runner import execute
@@ -61,7 +61,7 @@ def test_a_right_run_is_confirmed(check: str, tmp_path: Path) -> None:
 
 def test_a_check_that_cannot_run_is_no_evidence(tmp_path: Path) -> None:
     said: list[str] = []
-    assert check_trajectory(TINY, "no-such-method", 5, tmp_path, said.append, Observer()) is None
+    assert check_estimate(TINY, "no-such-method", 5, tmp_path, said.append, Observer()) is None
     assert "no-such-method" in said[0]
 
 

@@ -15,6 +15,7 @@ from panobench.datasets.writing.converted import ConvertedSequence
 from panobench.geometry import so3_exp, so3_log
 from panobench.masks import geometry
 from panobench.masks.base import NOT_RIGID, MaskEstimate
+from panobench.masks.empty import empty_part
 from panobench.masks.geometry import GeometryMask, Votes, _Frames, view_share
 from panobench.masks.panorama import Panorama
 from panobench.plugins import registry
@@ -62,6 +63,20 @@ def test_whoever_carries_the_camera_is_hidden(name: str) -> None:
     assert wrongly < 0.08  # images of 192 pixels: a rim of two degrees is a fifth of the operator
 
 
+def test_what_is_black_in_all_frames_is_no_scene() -> None:
+    """One fisheye in a panorama's frame, of a black border that compression has blurred. A dark thing is a thing."""
+    room = walk("tiny")
+    behind = room.camera.rays()[..., 2] < 0.05
+    images = [np.where(behind[..., None], 0, room.image(i)).astype(np.uint8) for i in range(30)]
+    images = [cv2.imdecode(cv2.imencode(".jpg", image)[1], cv2.IMREAD_COLOR) for image in images]
+    found = estimate(Frames(room.camera, images))
+    assert found.valid[behind].mean() < 0.03
+    assert found.valid[~behind].mean() > 0.95
+    assert "black in all frames" in found.message
+    assert not empty_part(room).any()
+    assert not empty_part(Frames(room.camera, [np.zeros_like(images[0])] * 3)).any()
+
+
 def test_too_much_to_hide_is_said_and_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(geometry, "MOST", 0.1)
     found = estimate(walk("tiny+car-20"))
@@ -102,7 +117,7 @@ def test_who_swings_fast_is_followed_from_where_one_pair_of_frames_saw_her() -> 
         where.append(panorama.at(there.astype(np.float32), back) > 0.5)
         images.append(np.where(where[-1][..., None], panorama.at(carrier, back), scene).astype(np.uint8))
     votes = [Votes(i, np.where(where[i], 1.0, -1.0), np.ones((128, 256))) for i in (0, 5, 15, 22, 30)]
-    turns = _Frames(Frames(panorama.camera, images)).turns(votes, np.any(where, axis=0))
+    turns = _Frames(Frames(panorama.camera, images), panorama.camera).turns(votes, np.any(where, axis=0))
     assert turns is not None
     assert max(np.linalg.norm(so3_log(R.T @ T)) for R, T in zip(true, turns)) < np.deg2rad(4)
 

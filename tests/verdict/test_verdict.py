@@ -26,7 +26,9 @@ def depth(ok: bool) -> DepthEstimate:
 
 
 def test_a_run_with_nothing_against_it_is_trusted() -> None:
-    verdict = assess(Estimate(walk(), depth=depth(True)), 60, {"pano_psnr_db": 28.0}, {"sparse": walk(noise=0.001)})
+    verdict = assess(
+        Estimate(walk(), depth=depth(True)), 60, {"pano_psnr_db": 28.0}, {"sparse": Estimate(walk(noise=0.001))}
+    )
     assert verdict.word is Word.TRUSTED
     assert verdict.confidence == pytest.approx(1.0)
     assert verdict.reasons == ()
@@ -37,10 +39,22 @@ def test_a_path_that_a_second_method_contradicts_is_doubtful_and_says_so() -> No
     other = walk()
     bent = other.T_wc.copy()
     bent[:, 0, 3] += 0.15 * other.times**2
-    verdict = assess(Estimate(walk()), 60, others={"sparse": Trajectory(other.times, bent)})
+    verdict = assess(Estimate(walk()), 60, others={"sparse": Estimate(Trajectory(other.times, bent))})
     assert verdict.word is not Word.TRUSTED
     assert "'sparse'" in verdict.reasons[0]
     assert verdict.advice
+
+
+def test_a_second_method_whose_features_do_not_fit_its_path_only_fails_to_confirm() -> None:
+    bent = walk().T_wc.copy()
+    bent[:, 0, 3] += 0.4 * walk().times ** 2
+    rows = {i: {"error_px": 1.4} for i in range(60)}
+    for frames, word in (({}, Word.FAILED), (rows, Word.DOUBTFUL)):
+        other = Estimate(Trajectory(walk().times, bent), frames=frames)
+        verdict = assess(Estimate(walk()), 60, others={"sparse": other})
+        assert verdict.word is word
+    assert "do not fit" in verdict.reasons[0]
+    assert assess(Estimate(walk()), 60, others={"sparse": Estimate(walk(), frames=rows)}).word is Word.TRUSTED
 
 
 def test_the_second_methods_world_and_scale_do_not_matter() -> None:
@@ -52,10 +66,11 @@ def test_the_second_methods_world_and_scale_do_not_matter() -> None:
 
 
 def test_a_second_method_that_lost_its_way_confirms_nothing() -> None:
-    verdict = assess(Estimate(walk()), 60, others={"sparse": walk().select(np.arange(5))})
+    verdict = assess(Estimate(walk()), 60, others={"sparse": Estimate(walk().select(np.arange(5)))})
     assert verdict.word is Word.DOUBTFUL
     assert "5 of 60 frames" in verdict.reasons[0]
-    assert assess(Estimate(walk()), 60, others={"sparse": walk().select(np.arange(0))}).word is Word.DOUBTFUL
+    assert assess(Estimate(walk()), 60, others={"sparse": Estimate(walk().select(np.arange(0)))}).word is Word.DOUBTFUL
+    assert second_method(walk().select(np.arange(5)), walk(), "sparse", 60) is None  # this one did
 
 
 def test_a_camera_that_stands_still_cannot_be_compared() -> None:
@@ -86,7 +101,7 @@ def test_a_jump_that_a_second_method_has_too_is_in_the_recording() -> None:
     jumps, moved = Trajectory(walk().times, T), Sim3(2.0, so3_exp(np.array([0.0, 1.0, 0.0])), np.ones(3))
     same = Trajectory(walk().times, moved.apply_poses(T))
     assert assess(Estimate(jumps), 60).word is not Word.TRUSTED
-    assert assess(Estimate(jumps), 60, others={"sparse": same}).word is Word.TRUSTED
+    assert assess(Estimate(jumps), 60, others={"sparse": Estimate(same)}).word is Word.TRUSTED
     assert steadiness(jumps, [walk()]).trust < 0.5
     assert steadiness(jumps, [same.select(np.r_[0:20, 40:60])]).trust < 0.5  # it did not see it
 
@@ -134,7 +149,7 @@ def test_a_constant_start_and_a_blurred_map_are_doubts_that_add_up() -> None:
 
 def test_a_failed_start_matters_less_where_a_second_method_confirms_the_path() -> None:
     alone = assess(Estimate(walk(), depth=depth(False)), 60)
-    confirmed = assess(Estimate(walk(), depth=depth(False)), 60, others={"sparse": walk(noise=0.0005)})
+    confirmed = assess(Estimate(walk(), depth=depth(False)), 60, others={"sparse": Estimate(walk(noise=0.0005))})
     assert alone.word is Word.DOUBTFUL
     assert confirmed.word is Word.TRUSTED
     assert "failed its check" in confirmed.reasons[0]
@@ -156,7 +171,7 @@ def test_features_that_do_not_fit_one_scene_are_a_doubt() -> None:
 
 
 def test_a_view_that_mostly_does_not_move_as_a_rigid_scene_is_a_doubt_whoever_agrees() -> None:
-    verdict = assess(Estimate(walk()), 60, others={"sparse": walk()}, not_rigid=0.86)
+    verdict = assess(Estimate(walk()), 60, others={"sparse": Estimate(walk())}, not_rigid=0.86)
     assert verdict.word is Word.DOUBTFUL
     assert "86%" in verdict.reasons[0]
 

@@ -23,7 +23,7 @@ from panobench.cameras.rig import Rig
 from panobench.datasets.base import FrameSequence
 from panobench.errors import PanobenchError
 from panobench.methods.base import BatchMethod, MethodContext
-from panobench.types import RunStatus, Trajectory
+from panobench.types import Estimate, RunStatus, Trajectory
 
 #: Values of the run option ``check`` that are no methods: decide by the data; nothing; the same method backwards.
 AUTO, NONE, BACKWARDS = "auto", "none", "backwards"
@@ -88,7 +88,7 @@ class Backwards(FrameSequence):
         return Trajectory(np.asarray(self._inner.times)[index[order]], trajectory.T_wc[order])
 
 
-def check_trajectory(
+def check_estimate(
     request: RunRequest,
     check: str,
     given: int,
@@ -96,8 +96,8 @@ def check_trajectory(
     log: Callable[[str], None],
     observer: Observer,
     hidden: NDArray[np.bool_] | None = None,
-) -> Trajectory | None:
-    """The check's trajectory of the first ``given`` frames, as far as it came; None if it cannot run here.
+) -> Estimate | None:
+    """The check's estimate of the first ``given`` frames, as far as it came; None if it cannot run here.
 
     It gets the run's input, without the pixels ``hidden`` (H, W), its own defaults and the run's seed.
     """
@@ -131,9 +131,9 @@ def check_trajectory(
     if tracked.status is not RunStatus.OK or tracked.estimate is None:
         log(f"check by {check}: {tracked.message}")
         return None
-    found = tracked.estimate.trajectory
-    log(f"check by {check}: {len(found)} of {given} frames")
-    return sequence.forwards(found) if check == BACKWARDS else found
+    found = tracked.estimate
+    log(f"check by {check}: {len(found.trajectory)} of {given} frames")
+    return replace(found, trajectory=sequence.forwards(found.trajectory)) if check == BACKWARDS else found
 
 
 def _nobody(*_: object) -> None:

@@ -19,7 +19,7 @@ from panobench.bench.records.record import CellRecord, MaskRecord, RunRecord, Ve
 from panobench.bench.records.results import run_record, save_map, timing_record, write_run
 from panobench.bench.records.runfolder import LOG, RENDERS, PendingRun, check_free
 from panobench.bench.run.blas import one_blas_thread
-from panobench.bench.run.checking import check_trajectory, chosen_check
+from panobench.bench.run.checking import check_estimate, chosen_check
 from panobench.bench.run.evaluate import Scores, evaluate
 from panobench.bench.run.interrupts import KeepWriting
 from panobench.bench.run.masking import apply_mask
@@ -35,7 +35,7 @@ from panobench.masks.base import NOT_RIGID
 from panobench.methods.base import BatchMethod, MethodContext
 from panobench.metrics.base import MetricInput
 from panobench.plugins import PluginWarning, registry
-from panobench.types import Frame, RunStatus
+from panobench.types import Estimate, Frame, RunStatus
 from panobench.verdict.assess import assess
 from panobench.writing import TEXT
 
@@ -243,10 +243,10 @@ def _verdict(
     assert estimate is not None
     truth = setup.sequence.groundtruth is not None
     check = chosen_check(request, groundtruth=truth, batch=isinstance(setup.method, BatchMethod))
-    others = {}
+    others: dict[str, Estimate] = {}
     if check is not None and tracked.status is RunStatus.OK and len(estimate.trajectory):
         hidden = ~setup.sequence.camera.valid_mask()
-        found = check_trajectory(request, check, tracked.given, folder, log, observer, hidden)
+        found = check_estimate(request, check, tracked.given, folder, log, observer, hidden)
         if found is not None:
             others[check] = found
     ended_badly = tracked.status not in (RunStatus.OK, RunStatus.INTERRUPTED)
