@@ -31,6 +31,8 @@ from panobench.types import Estimate, RunStatus, Trajectory
 
 #: The last lines of the program's log that are copied into the run's log. The work folder is removed after the run.
 LOGGED_LINES = 100
+#: What the program prints, in the work folder.
+PROGRAM_LOG = "program.log"
 _REFUSED = ("permission denied", "read-only file system", "errno 13", "eacces")
 
 
@@ -163,7 +165,7 @@ class ExternalMethod(BatchMethod):
             raise UnavailableError(reason)
         context.work = context.work.resolve()
         job = self.prepare(sequence, context)
-        log = context.work / "program.log"
+        log = context.work / PROGRAM_LOG
         finished, confined = self._start(job, context, log)
         self._check_exit(job, finished, confined, log)
         estimate = self._read(job, sequence, log)

@@ -19,7 +19,7 @@ from panobench.datasets.base import FrameSequence
 from panobench.datasets.files.images import write_image
 from panobench.errors import UnsupportedError
 from panobench.external import ros
-from panobench.external.adapter import ExternalConfig, ExternalMethod, Job
+from panobench.external.adapter import PROGRAM_LOG, ExternalConfig, ExternalMethod, Job
 from panobench.external.bag import write_bag
 from panobench.external.findings import Finding
 from panobench.external.imu_noise import sample_noise
@@ -27,7 +27,7 @@ from panobench.external.inputs import intrinsics, opencv_pinhole, opencv_yaml
 from panobench.external.trajectory import TrajectoryFormat
 from panobench.methods.base import MethodContext
 from panobench.options import option
-from panobench.types import Imu
+from panobench.types import Estimate, Imu
 
 IMAGE_TOPIC, IMU_TOPIC = "/cam0/image_raw", "/imu0"
 #: Where the trackers look for a mask, below the folder that the launch file names. OpenCV goes by a file's content, so
@@ -37,6 +37,13 @@ INVERSE_TERMS = 20
 GRAVITY = 9.81
 #: The estimators answer at most 10 times a second; frames between two answers this close get an interpolated pose.
 INTERPOLATE_GAP_S = 0.2
+#: What the estimators print when an attempt to start fails.
+FAILED_STARTS = (
+    "Not enough features or parallax",
+    "unstable features tracking",
+    "vision only BA not converge",
+    "misalign visual structure with IMU",
+)
 
 
 @dataclass(frozen=True)
@@ -212,6 +219,16 @@ class VinsMethod(ExternalMethod):
             detail = f"'{name}'" if writes else f"the workspace's nodes do not write {self.title}'s '{name}'"
             found.append(Finding(writes, "result", detail, source))
         return found
+
+    def run(self, sequence: FrameSequence, context: MethodContext) -> Estimate:
+        """As the base class. If the estimator never started, the run's log says what it printed at its attempts."""
+        estimate = super().run(sequence, context)
+        if not len(estimate.trajectory):
+            text = (context.work / PROGRAM_LOG).read_text(errors="replace")
+            counts = {words: text.count(words) for words in FAILED_STARTS}
+            said = ", ".join(f"'{words}' ({n} times)" for words, n in counts.items() if n) or "its log does not say why"
+            context.log(f"{self.title} never started: {said}")
+        return estimate
 
     def prepare(self, sequence: FrameSequence, context: MethodContext) -> Job:
         work, imu = context.work, context.imu

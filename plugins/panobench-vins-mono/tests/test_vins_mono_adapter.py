@@ -123,6 +123,14 @@ def test_a_node_that_crashes_ends_the_run(tmp_path: Path, monkeypatch: pytest.Mo
         run_method(method, TinySequence(CAMERA, n=3, T_body_cam=T_BODY_CAM), needs=SPEC.needs)
 
 
+def test_the_log_says_why_it_never_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = "print('Not enough features or parallax; Move device around', flush=True)\n"
+    method = workspace(tmp_path / "ws", monkeypatch, 2 * words + ESTIMATOR % [])
+    run = run_method(method, TinySequence(CAMERA, n=3, T_body_cam=T_BODY_CAM), needs=SPEC.needs)
+    assert not len(run.estimate.trajectory)
+    assert run.log[-1] == "VINS-Mono never started: 'Not enough features or parallax' (2 times)"
+
+
 def test_roslaunch_alone_cannot_run_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     method = workspace(tmp_path / "ws", monkeypatch, ESTIMATOR)
     monkeypatch.setenv("CMAKE_PREFIX_PATH", str(tmp_path))
