@@ -114,7 +114,7 @@ def second_method(
     deviation = path_deviation(p, q)
     if deviation is None:
         return None
-    doubted = ", whose own features do not fit it" if unsure else ""
+    doubted = ", whose own features do not fit it," if unsure else ""
     return Evidence(
         f"check by {name}", falling(deviation, AGREE, DISAGREE, UNCONFIRMED if unsure else 0.02),
         f"its path and that of '{name}'{doubted} differ by {100 * deviation:.2f}% of the path",
