@@ -283,11 +283,23 @@ def test_faces_keep_the_detail_of_a_fisheye(fov):
     assert build_faces(KannalaBrandtCamera.equidistant(640, fov), 10**6, 4).source_scale > 0.68
 
 
-def test_face_images_show_what_the_camera_sees():
+@pytest.mark.parametrize("camera", [ErpCamera(256, 128), PinholeCamera.from_fov(128, 100, 84)])
+def test_fine_faces_have_more_pixels_but_no_more_than_allowed(camera):
+    fine, usual = build_faces(camera, 10**6, 2, fine=True), build_faces(camera, 10**6, 2)
+    assert fine.focal == pytest.approx(2 * usual.focal, rel=0.02)
+    assert fine.source_scale == pytest.approx(2.0)
+    few = int(1.5 * usual.count * usual.size[0] * usual.size[1])
+    limited = build_faces(camera, few, 2, fine=True)
+    assert usual.focal < limited.focal < fine.focal
+    assert limited.count * limited.size[0] * limited.size[1] < 1.1 * few
+
+
+@pytest.mark.parametrize("fine", [False, True])
+def test_face_images_show_what_the_camera_sees(fine):
     """A panorama whose brightness is a function of direction comes out the same on every face."""
     camera = ErpCamera(256, 128)
     image = np.round(127 + 100 * camera.rays() @ np.array([0.3, 0.5, -0.8])).astype(np.uint8)
-    face_set = build_faces(camera, 10**6, 2)
+    face_set = build_faces(camera, 10**6, 2, fine=fine)
     faces = face_set.pyramid(image, 2)[0]
     h, w = face_set.size
     grid = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), axis=-1).reshape(-1, 2)

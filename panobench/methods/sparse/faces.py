@@ -24,6 +24,10 @@ MARGIN = 28
 #: A camera whose rays all lie within 68 degrees of its axis (this cosine) becomes a single face. For wider cameras a
 #: plane spends so many pixels on its rim that a cube with as many pixels has more detail in the middle.
 SINGLE_FACE_COSINE = 0.37
+#: Fine faces are so many times as fine as the image, as far as ``max_pixels`` allow. A patch then spans half as many
+#: degrees. One that holds surfaces at several distances keeps to one of them over a long track, while a small motion is
+#: that of all of them, and comes out too small.
+FINER = 2.0
 #: Rows that are added beyond each pole of a panorama for interpolation.
 POLE_ROWS = 2
 
@@ -95,8 +99,8 @@ def levels_for(focal: float) -> int:
     return int(np.clip(1 + round(np.log2(focal / 25.0)), 3, 5))
 
 
-def build_faces(camera: Camera, max_pixels: int, levels: int) -> FaceSet:
-    """Choose faces for a camera, at the camera's mean angular resolution over the sphere."""
+def build_faces(camera: Camera, max_pixels: int, levels: int, *, fine: bool = False) -> FaceSet:
+    """Choose faces for a camera, at the camera's mean angular resolution over the sphere; fine: see ``FINER``."""
     valid = camera.valid_mask()
     rays = camera.rays()
     omega = camera.solid_angle()
@@ -104,9 +108,10 @@ def build_faces(camera: Camera, max_pixels: int, levels: int) -> FaceSet:
     total = float(omega[usable].sum())
     pixel_angle = float((omega[usable] ** 1.5).sum()) / total if total > 0 else 2 * np.pi / camera.width
     multiple = 1 << (levels - 1)
+    times = FINER if fine else 1.0
     if usable.any() and float(rays[usable][:, 2].min()) > SINGLE_FACE_COSINE:
-        return _single_face(camera, rays, usable, pixel_angle, max_pixels, multiple)
-    return _cube(camera, usable, pixel_angle, max_pixels, multiple)
+        return _single_face(camera, rays, usable, pixel_angle, max_pixels, multiple, times)
+    return _cube(camera, usable, pixel_angle, max_pixels, multiple, times)
 
 
 def round_up(value: float, multiple: int) -> int:
@@ -115,7 +120,13 @@ def round_up(value: float, multiple: int) -> int:
 
 
 def _single_face(
-    camera: Camera, rays: Array, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int
+    camera: Camera,
+    rays: Array,
+    usable: NDArray[np.bool_],
+    pixel_angle: float,
+    max_pixels: int,
+    multiple: int,
+    times: float,
 ) -> FaceSet:
     x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
     grid = camera.pixel_grid()
@@ -125,20 +136,24 @@ def _single_face(
     straight = max(
         float(np.abs(fx * x + cx - grid[..., 0])[usable].max()), float(np.abs(fy * y + cy - grid[..., 1])[usable].max())
     )
-    if straight < 0.02 and camera.width * camera.height <= max_pixels:
+    if times == 1.0 and straight < 0.02 and camera.width * camera.height <= max_pixels:
         h, w = round_up(camera.height, multiple), round_up(camera.width, multiple)
         mask = np.zeros((1, h, w), bool)
         mask[0, : camera.height, : camera.width] = camera.valid_mask()
         intrinsics = np.array([fx, fy, cx, cy])
         return FaceSet(np.eye(3)[None], intrinsics, (h, w), mask, _erode(mask), float(np.sqrt(fx * fy)), None, None)
+    if times > 1.0 and straight < 0.02:  # its middle, where an image without distortion has the fewest pixels a radian
+        pixel_angle = float(1.0 / np.sqrt(fx * fy))
     x0, x1, y0, y1 = (float(f(a[usable])) for a in (x, y) for f in (np.min, np.max))
-    focal = min(1.0 / pixel_angle, float(np.sqrt(max_pixels / ((x1 - x0) * (y1 - y0)))))
+    focal = min(times / pixel_angle, float(np.sqrt(max_pixels / ((x1 - x0) * (y1 - y0)))))
     w, h = round_up(focal * (x1 - x0), multiple), round_up(focal * (y1 - y0), multiple)
     intrinsics = np.array([focal, focal, -focal * x0, -focal * y0])
     return resampled(camera, np.eye(3)[None], intrinsics, (h, w), focal, pixel_angle, wide=False)
 
 
-def _cube(camera: Camera, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int) -> FaceSet:
+def _cube(
+    camera: Camera, usable: NDArray[np.bool_], pixel_angle: float, max_pixels: int, multiple: int, times: float
+) -> FaceSet:
     sides = np.array(
         [
             [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
@@ -156,7 +171,7 @@ def _cube(camera: Camera, usable: NDArray[np.bool_], pixel_angle: float, max_pix
         share = np.bincount(nearest, weights=camera.solid_angle()[usable], minlength=6)
         sides = sides[share > 0.05]
     widest = np.sqrt(max_pixels / max(1, len(sides))) / 2 - MARGIN
-    focal = float(min(1.0 / pixel_angle, widest))
+    focal = float(min(times / pixel_angle, widest))
     half = round_up(2 * (focal + MARGIN), 2 * multiple) // 2
     intrinsics = np.array([focal, focal, float(half), float(half)])
     return resampled(camera, sides, intrinsics, (2 * half, 2 * half), focal, pixel_angle, wide=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,16 +74,18 @@ class SparseMethod(OnlineMethod):
         self.context, self.camera = context, camera
         levels = self.config.levels or MAX_LEVELS
         rig = context.rig if self.config.rig else None
+        # Metres are told by small motions: of the lenses about each other, and of strides.
+        self.exact = rig is not None or context.imu is not None
         self.rig_faces = None if rig is None else build_rig_faces(rig, self.config.face_pixels, levels)
-        self.face_set = self.rig_faces or build_faces(camera, self.config.face_pixels, levels)
+        self.face_set = self.rig_faces or build_faces(camera, self.config.face_pixels, levels, fine=self.exact)
+        if self.exact and self.face_set.source_scale > 1.0:  # a measurement is as good as the image's pixels are fine
+            self.config = replace(self.config, huber_px=self.config.huber_px * self.face_set.source_scale)
         self.levels = self.config.levels or levels_for(self.face_set.focal)
         self.narrow = ViewWidth.of(camera) is ViewWidth.NARROW
         self.finder = RotationFinder(self.face_set, self.levels)
         self.rng = np.random.default_rng(context.seed)
         self.pool = ThreadPoolExecutor(2)
         self.inertial = InertialStage(context.imu, context.log, context.warn, self._pose_of)
-        # Metres are told by small motions: of the lenses about each other, and of strides.
-        self.exact = self.rig_faces is not None or self.inertial.enabled
         self.initialiser = Initialiser(self.face_set, self.config, self.rng, self.pool, self.exact)
         self.session: Session | None = None
         self.previous: list[Session] = []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.cameras.rig import Rig
-from panobench.methods.sparse.faces import MARGIN, FaceSet, resampled, round_up
+from panobench.methods.sparse.faces import FINER, MARGIN, FaceSet, resampled, round_up
 from panobench.methods.sparse.lenses import Lenses
 from panobench.methods.sparse.patches import STORED, cut_templates
 
@@ -43,12 +43,12 @@ class RigFaces(FaceSet):
 
 
 def build_rig_faces(rig: Rig, max_pixels: int, levels: int) -> RigFaces:
-    """Faces at the lenses' angular resolution, ``max_pixels`` of all together at most."""
+    """Fine faces (see ``faces``), ``max_pixels`` of all together at most."""
     multiple = 1 << (levels - 1)
     sides = _sides()
     angle = float(np.mean([_pixel_angle(lens.camera) for lens in rig.lenses]))
     widest = (np.sqrt(max_pixels / (len(sides) * len(rig))) / 2 - MARGIN) / HALF
-    focal = float(min(1.0 / angle, widest))
+    focal = float(min(FINER / angle, widest))
     half = round_up(2 * (HALF * focal + MARGIN), 2 * multiple) // 2
     intrinsics = np.array([focal, focal, float(half), float(half)])
     parts = [
