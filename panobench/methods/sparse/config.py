@@ -9,7 +9,9 @@ from panobench.options import Options, option
 
 @dataclass(frozen=True)
 class SparseConfig(Options):
-    """Features, keyframes and map. A depth is the median scene depth; px are pixels of a tangent face."""
+    """Features, keyframes and map. A depth is the median scene depth; px are pixels of a tangent face, but of the image
+    where faces are finer than it is (with a rig or an IMU).
+    """
 
     features: int = option(700, "corners wanted per keyframe, shared over the faces", above=0)
     face_pixels: int = option(
