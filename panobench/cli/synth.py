@@ -21,7 +21,9 @@ def palvio(
     dataset: Annotated[str, typer.Option(help="Panoramic dataset with ground truth to make it from.")] = "rooms",
     sequence: Annotated[str | None, typer.Option(help="Its sequence; default: the first.")] = None,
     root: Annotated[Path | None, typer.Option(help="Where that dataset is.")] = None,
-    frames: Annotated[int, typer.Option(min=4, help="Images in the bag.")] = 60,
+    frames: Annotated[
+        int | None, typer.Option(min=4, help="Images in the bag; default 60, or all of --seconds.")
+    ] = None,
     camera: Annotated[
         str | None, typer.Option(help="Another camera than PALVIO's, for example pinhole; it looks ahead.")
     ] = None,
@@ -60,20 +62,20 @@ def palvio(
         raise UsageError("--fov goes with --camera: PALVIO's lens has the field of view of its calibration")
     if seconds is None:
         opened: FrameSequence = open_sequence(dataset, sequence, root, source_width)
-        count = frames
+        count = min(frames or 60, len(opened))
     else:
         if dataset != "rooms":
             raise UsageError(f"--seconds: only the built-in rooms can be walked through, not dataset '{dataset}'")
         walk = StrollOptions(seconds=seconds, speed=speed, turn_deg_s=turn, gait=gait, still_s=still, seed=seed)
         panorama = ErpCamera(source_width, source_width // 2)
         opened = WalkedRoom(sequence or "room2", walk, panorama, IMAGE_RATE_HZ)
-        count = len(opened)
+        count = min(frames or len(opened), len(opened))
     chosen = None if camera is None else parse_camera_option(camera, opened.camera, width, fov).camera
     options = BagOptions(frames=count, width=width, camera=chosen, seed=seed)
     with Progress(console=Console(stderr=True), disable=quiet) as bar:
-        task = bar.add_task(opened.name, total=min(count, len(opened)))
+        task = bar.add_task(opened.name, total=count)
         write_palvio_bag(out, opened, options, lambda n: bar.advance(task, n))
-    Console(highlight=False, soft_wrap=True).print(f"{out}: {min(count, len(opened))} images of '{opened.name}'")
+    Console(highlight=False, soft_wrap=True).print(f"{out}: {count} images of '{opened.name}'")
 
 
 @app.command("hilti-360")

@@ -44,7 +44,7 @@ def test_the_seed_decides_the_noise(tmp_path: Path) -> None:
 
 
 def test_a_walk_through_a_room_by_a_camera_that_looks_ahead(tmp_path: Path) -> None:
-    walk = ["--sequence", "tiny", "--seconds", 1.5, "--still", 0, "--source-width", 64]
+    walk = ["--sequence", "tiny", "--seconds", 2, "--frames", 22, "--still", 0, "--source-width", 64]
     lens = ["--camera", "pinhole", "--fov", "90x65", "--width", 160]
     assert synth("--out", tmp_path / "walk.bag", *walk, *lens) == 0
     made = open_sequence("palvio", "walk", tmp_path)
