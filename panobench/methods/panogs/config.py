@@ -78,6 +78,12 @@ class TrackingOptions(Options):
     renders: int = option(2, "renders of the map per frame, at most", above=0)
     pixels: int = option(16384, "pixels aligned per pyramid level, evenly spread; a narrow view uses all", above=0)
     exposure: bool = option(False, "solve for gain and offset in every alignment")
+    gradient_min: float = option(
+        0.015,
+        "least gradient of a rendered pixel that is aligned: plain walls have a mottle of their own",
+        unit="of 1 per px",
+        above=0,
+    )
     opacity_min: float = option(0.9, "opacity below which a rendered pixel has no depth to align to", maximum=1.0)
     render_again_px: float = option(0.7, "distance from the last render beyond which another one is made", unit="px")
 

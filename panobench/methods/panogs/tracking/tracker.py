@@ -48,7 +48,11 @@ class Tracker:
         self.weights = pixel_weights(camera, config.rendering.weights)
         pixels = None if ViewWidth.of(camera) is ViewWidth.NARROW else self.options.pixels
         fine = AlignOptions(
-            exposure=self.options.exposure, gradient_min=0.006, step_m=6e-5, step_rad=3e-5, pixels=pixels
+            exposure=self.options.exposure,
+            gradient_min=self.options.gradient_min,
+            step_m=6e-5,
+            step_rad=3e-5,
+            pixels=pixels,
         )
         fine = reject_moving(camera, fine)
         self.align_options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
