@@ -48,7 +48,7 @@ def assess(
         steady_height(estimate),
         own.inertial(estimate),
         own.joined_maps(estimate),
-        own.map_pictures(metrics or {}),
+        own.map_pictures(metrics or {}, moving=estimate.extra.get("moving") is True),
         *opinions,
     ]
     if rejected:

@@ -155,6 +155,12 @@ def test_a_failed_start_matters_less_where_a_second_method_confirms_the_path() -
     assert "failed its check" in confirmed.reasons[0]
 
 
+def test_what_moves_is_missing_in_the_maps_pictures() -> None:
+    still, moving = (assess(Estimate(walk(), extra={"moving": m}), 60, {"pano_psnr_db": 15.0}) for m in (False, True))
+    assert still.word is Word.DOUBTFUL
+    assert moving.word is Word.TRUSTED
+
+
 def test_what_the_map_does_not_explain_counts() -> None:
     rows = {i: {"agreement": 0.3 if i % 3 == 0 else 0.9} for i in range(30)}
     assert assess(Estimate(walk(), frames=rows), 60).word is not Word.TRUSTED
