@@ -5,6 +5,8 @@ The genuine program runs, too, where a workspace with it is sourced.
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -13,12 +15,8 @@ import pytest
 from panobench_vins_mono import SPEC
 from panobench_vins_mono.method import VinsMono, VinsMonoConfig
 
+import panobench
 from panobench import Camera, Imu, MethodError, Trajectory, UnavailableError, UnsupportedError
-from panobench.cameras.erp import ErpCamera
-from panobench.capture.stroll import StrollOptions
-from panobench.datasets.open import open_sequence
-from panobench.datasets.palvio.synth import BagOptions, write_palvio_bag
-from panobench.datasets.synthetic.walked_room import WalkedRoom
 from panobench.external import BAG_START_S, camodocal_camera, opencv_yaml, write_bag
 from panobench.geometry import invert_pose, make_pose, so3_exp
 from panobench.testing import (
@@ -241,10 +239,11 @@ def test_the_pose_graph_is_started_for_loops(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.skipif(VinsMono.missing() is not None, reason="no workspace with VINS-Mono is sourced")
 def test_the_genuine_vins_mono_follows_a_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()  # it takes longer than a second to work off its buffer
-    walk = StrollOptions(seconds=12, speed=1.4, turn_deg_s=250, gait=1.5, seed=3)
-    room = WalkedRoom("room2", walk, ErpCamera(512, 256), rate=15.0)
-    write_palvio_bag(tmp_path / "walk.bag", room, BagOptions(camera=pinhole_camera(480, 90, 65)))
-    sequence = open_sequence("palvio", "walk", tmp_path)
-    run = run_method(VinsMono(VinsMonoConfig(timeout_s=120)), sequence, needs=SPEC.needs)
-    assert len(run.estimate.trajectory) > 0.5 * len(sequence)
-    assert ate_rmse(run, sequence) < 0.2
+    lens = ["--camera", "pinhole", "--fov", "90x65", "--width", "480", "--source-width", "512"]
+    walk = ["--seconds", "12", "--speed", "1.4", "--turn", "250", "--gait", "1.5", "--seed", "3"]
+    bag = ["--out", str(tmp_path / "walk.bag"), "--quiet"]
+    subprocess.run([sys.executable, "-m", "panobench", "synth", "palvio", *bag, *lens, *walk], check=True)
+    where = {"dataset": "palvio", "sequence": "walk", "root": str(tmp_path), "camera": "pinhole", "width": 480}
+    run = panobench.run(tmp_path / "run", method="vins-mono", settings={"timeout_s": 120}, **where)
+    assert run.metrics["tracked"] > 0.5
+    assert run.metrics["ate_rmse_m"] < 0.2
