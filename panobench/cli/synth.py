@@ -62,14 +62,13 @@ def palvio(
         raise UsageError("--fov goes with --camera: PALVIO's lens has the field of view of its calibration")
     if seconds is None:
         opened: FrameSequence = open_sequence(dataset, sequence, root, source_width)
-        count = min(frames or 60, len(opened))
     else:
         if dataset != "rooms":
             raise UsageError(f"--seconds: only the built-in rooms can be walked through, not dataset '{dataset}'")
         walk = StrollOptions(seconds=seconds, speed=speed, turn_deg_s=turn, gait=gait, still_s=still, seed=seed)
         panorama = ErpCamera(source_width, source_width // 2)
         opened = WalkedRoom(sequence or "room2", walk, panorama, IMAGE_RATE_HZ)
-        count = min(frames or len(opened), len(opened))
+    count = min(frames or (60 if seconds is None else len(opened)), len(opened))
     chosen = None if camera is None else parse_camera_option(camera, opened.camera, width, fov).camera
     options = BagOptions(frames=count, width=width, camera=chosen, seed=seed)
     with Progress(console=Console(stderr=True), disable=quiet) as bar:

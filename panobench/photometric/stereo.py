@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.photometric.planar import depth_information, planar_filter
-from panobench.photometric.pyramid import F32
+from panobench.photometric.pyramid import F32, halve
 from panobench.photometric.sweep import (
     padded,
     semi_global,
@@ -84,6 +84,12 @@ class WorkingScale:
         rays = np.nan_to_num(scaled.rays()).astype(np.float32)
         camera_code(scaled)  # refuses what cannot be aligned
         return cls(scaled, rays, scaled.valid_mask(), level)
+
+    def halved(self, luma: F32) -> F32:
+        """Luma of this camera at a larger size, halved until it is (H, W)."""
+        while luma.shape[1] > self.valid.shape[1]:
+            luma = halve(luma)
+        return luma
 
 
 def multi_view_depth(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.rig_panorama import LensCentres
 from panobench.datasets.synthetic.rooms import RoomsDataset
-from panobench.geometry import invert_pose, se3_exp, umeyama
+from panobench.geometry import invert_pose, make_pose, se3_exp, umeyama
 from panobench.methods.panogs.config import FactorOptions
 from panobench.methods.panogs.factor_graph.depth import FactorDepth
 from panobench.methods.panogs.factor_graph.factors import NEAREST, FactorGraph, bundle_options, softened
@@ -203,16 +203,10 @@ def test_a_factor_does_not_keep_a_wrong_depth_where_a_mask_hides_part_of_the_vie
             g.add(i, np.where(mask, luma[i], np.nan).astype(np.float32))
         g.make_factor(0, tracked(list(T_wc)), wrong)
         found = invert_pose(g.factors[0].bundle.T_fr)[:, :3, 3]
-        error[sweeps] = misfit(np.stack([_at(p) for p in found]), T_wc[g.factors[0].frames])
+        error[sweeps] = misfit(np.stack([make_pose(np.eye(3), p) for p in found]), T_wc[g.factors[0].frames])
     assert error[True] < 0.6 * error[False]
     known = np.ones(mask.shape, np.float32)
     assert FactorDepth(masked).sweep(luma[0], luma[1:4], T_wc[1:4], known) is known  # too few
-
-
-def _at(position: Array) -> Array:
-    T = np.eye(4)
-    T[:3, 3] = position
-    return T
 
 
 def test_on_a_rig_far_frames_are_left_out() -> None:

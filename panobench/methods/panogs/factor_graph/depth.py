@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.methods.panogs.fixed_lag.frame_buffer import SWEEP_WIDTH
-from panobench.photometric.pyramid import F32, halve
+from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import WorkingScale, multi_view_depth, resize_panorama
 
 #: So many frames are swept over, at most.
@@ -38,13 +38,8 @@ class FactorDepth:
             return known
         chosen = np.unique(np.linspace(0, len(images) - 1, min(len(images), FRAMES)).round().astype(int))
         nearest, farthest = np.quantile(known[known > 0], (0.001, 1.0))
-        others = np.stack([self._small(images[n]) for n in chosen])
+        others = np.stack([self.small.halved(images[n]) for n in chosen])
         near, far = NEARER * float(nearest), FARTHER * float(farthest)
-        swept, _ = multi_view_depth(self._small(luma), self.small, others, T_fr[chosen], near, far)
+        swept, _ = multi_view_depth(self.small.halved(luma), self.small, others, T_fr[chosen], near, far)
         full = resize_panorama(swept, known.shape, self.small.camera.kind == "erp")
         return np.where(self.scale.valid & np.isfinite(full), full, 0).astype(np.float32)
-
-    def _small(self, luma: F32) -> F32:
-        for _ in range(self.small.level):
-            luma = halve(luma)
-        return luma

@@ -22,7 +22,7 @@ from panobench.photometric.bundle import BundleOptions, refine
 from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pose_factors import BundleFactor, log_scale, marginalise, optimise_trajectory
 from panobench.photometric.pose_prior import PosePrior
-from panobench.photometric.pyramid import F32, halve
+from panobench.photometric.pyramid import F32
 from panobench.photometric.stereo import WorkingScale
 
 #: Poses are good when they come: few iterations. Depths need not be: the nearest frames first, the worst pixels out.
@@ -173,7 +173,7 @@ class FactorGraph:
         if again and self.revisits is not None and not self._reversed:
             factor = next((f for f in self.factors if f.reference == k), None)
             small = factor and marginalise(factor, (factor.frames - k) % o.every == 0)
-            self.revisits.add(k, target.index, self._small(target.luma, self.revisits.scale), small)
+            self.revisits.add(k, target.index, self.revisits.scale.halved(target.luma), small)
             self.revisits.look(trajectory, depth_map)
 
     def _others(self, k: int) -> list[_Other]:
@@ -212,12 +212,6 @@ class FactorGraph:
         if not both.any():
             return False
         return float(np.median(np.abs(np.log(after[both] / before[both])))) > self.options.renew_change
-
-    @staticmethod
-    def _small(luma: F32, scale: WorkingScale) -> F32:
-        while luma.shape[1] > scale.valid.shape[1]:
-            luma = halve(luma)
-        return luma
 
     # -- the trajectory ----------------------------------------------------------------------------------------------
 
