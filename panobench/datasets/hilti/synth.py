@@ -23,6 +23,9 @@ from panobench.capture.imu import BodyMotion, ImuNoise, ImuSamples, sample_times
 from panobench.capture.lens_studio import LensStudio
 from panobench.capture.parts import Parts
 from panobench.capture.stroll import StrollOptions, stroll
+from panobench.datasets.bags.images import COMPRESSED
+from panobench.datasets.bags.making import MessageMaker
+from panobench.datasets.bags.messages import IMU
 from panobench.datasets.files.trajectory_io import write_tum
 from panobench.datasets.hilti.calibration import (
     GRAVITY,
@@ -185,61 +188,31 @@ def _write_bag(
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    make = _Messages(store.types)
+    make = MessageMaker(store.types)
     stamps = imu.times + STAMP_SHIFT_S + published_calibration().time_offset_s
     with Writer(path, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        images = [writer.add_connection(topic, make.COMPRESSED, typestore=store) for topic in IMAGE_TOPICS]
-        inertial = writer.add_connection(IMU_TOPIC, make.IMU, typestore=store)
+        images = [writer.add_connection(topic, COMPRESSED, typestore=store) for topic in IMAGE_TOPICS]
+        inertial = writer.add_connection(IMU_TOPIC, IMU[0], typestore=store)
         written = 0
 
         def write_imu(until: float) -> int:
             k = written
             while k < len(stamps) and stamps[k] <= until:
-                message = make.imu(float(stamps[k]), imu.gyro[k], imu.accel[k])
-                writer.write(inertial, _nanoseconds(float(stamps[k])), store.serialize_cdr(message, make.IMU))
+                stamp = _nanoseconds(float(stamps[k]))
+                message = make.imu(make.header(stamp, "imu"), imu.gyro[k], imu.accel[k])
+                writer.write(inertial, stamp, store.serialize_cdr(message, IMU[0]))
                 k += 1
             return k
 
         for t, both in zip(times + STAMP_SHIFT_S, pictures):
             written = write_imu(float(t))
+            stamp = _nanoseconds(float(t))
             for k, data in enumerate(both):
-                message = make.image(float(t), f"cam{k}", data)
-                writer.write(images[k], _nanoseconds(float(t)), store.serialize_cdr(message, make.COMPRESSED))
+                message = make.compressed_image(make.header(stamp, f"cam{k}"), data, "jpeg")
+                writer.write(images[k], stamp, store.serialize_cdr(message, COMPRESSED))
             progress(1)
         write_imu(np.inf)
 
 
 def _nanoseconds(time: float) -> int:
     return round(time * 1e9)
-
-
-class _Messages:
-    """ROS 2 messages as the recordings hold them."""
-
-    COMPRESSED = "sensor_msgs/msg/CompressedImage"
-    IMU = "sensor_msgs/msg/Imu"
-
-    def __init__(self, types: Any) -> None:
-        self._types = types
-
-    def _header(self, time: float, frame: str) -> Any:
-        secs, nsecs = divmod(_nanoseconds(time), 10**9)
-        stamp = self._types["builtin_interfaces/msg/Time"](sec=secs, nanosec=nsecs)
-        return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
-
-    def image(self, time: float, frame: str, data: bytes) -> Any:
-        pixels = np.frombuffer(data, np.uint8)
-        return self._types[self.COMPRESSED](header=self._header(time, frame), format="jpeg", data=pixels)
-
-    def imu(self, time: float, gyro: Array, accel: Array) -> Any:
-        t = self._types
-        unknown = np.zeros(9)
-        return t[self.IMU](
-            header=self._header(time, "imu"),
-            orientation=t["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-            orientation_covariance=np.array([-1.0, *np.zeros(8)]),  # REP 145: -1 says that it is not measured
-            angular_velocity=t["geometry_msgs/msg/Vector3"](*(float(v) for v in gyro)),
-            angular_velocity_covariance=unknown,
-            linear_acceleration=t["geometry_msgs/msg/Vector3"](*(float(v) for v in accel)),
-            linear_acceleration_covariance=unknown,
-        )

@@ -20,6 +20,9 @@ from panobench.cameras.calibration import write_calibration
 from panobench.cameras.reproject import Reprojector
 from panobench.cameras.views import upright_rotation
 from panobench.capture.imu import BodyMotion, ImuNoise, sample_times, simulate_imu
+from panobench.datasets.bags.images import RAW
+from panobench.datasets.bags.making import MessageMaker
+from panobench.datasets.bags.messages import IMU, ODOMETRY
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.palvio.calibration import OVERRIDE, PalvioCalibration, published_calibration
 from panobench.errors import UsageError
@@ -153,7 +156,7 @@ def _write(
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
-    make = _Messages(store, options)
+    make = MessageMaker(store.types)
     picture = _pictures(sequence, calibration.camera)
     begin, end = float(motion.times[0]), float(motion.times[-1])
     t_imu = sample_times(begin, end, options.imu_rate_hz)
@@ -167,84 +170,38 @@ def _write(
     events += [(t, 1, k) for k, t in enumerate(t_truth)]
     events += [(float(sequence.times[i]), 2, i) for i in frames]
     topics = (
-        (calibration.imu_topic, make.IMU),
-        (calibration.groundtruth_topic, make.ODOMETRY),
-        (calibration.image_topic, make.IMAGE),
+        (calibration.imu_topic, IMU[0]),
+        (calibration.groundtruth_topic, ODOMETRY),
+        (calibration.image_topic, RAW),
     )
     with Writer(path) as writer:
         connections = [writer.add_connection(topic, kind, typestore=store) for topic, kind in topics]
         for time, kind, k in sorted(events):
+            stamp = options.start_time_s * 10**9 + round(time * 1e9)
             if kind == 0:
-                message = make.imu(time, k, imu.gyro[k], imu.accel[k])
+                message = make.imu(make.header(stamp, "base_link", k), imu.gyro[k], imu.accel[k])
             elif kind == 1:
-                message = make.odometry(time, k, body[k])
+                message = _odometry(make, make.header(stamp, "world", k), body[k])
             else:
-                grey = cv2.cvtColor(picture(k), cv2.COLOR_RGB2GRAY)
-                message = make.image(time, k, np.asarray(grey, dtype=np.uint8))
+                grey = np.asarray(cv2.cvtColor(picture(k), cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+                message = make.grey_image(make.header(stamp, "pal", k), grey)
                 progress(1)
-            stamp = make.nanoseconds(time)
             writer.write(connections[kind], stamp, store.serialize_ros1(message, topics[kind][1]))
 
 
-class _Messages:
-    """ROS messages as PALVIO's recordings hold them."""
-
-    IMAGE = "sensor_msgs/msg/Image"
-    IMU = "sensor_msgs/msg/Imu"
-    ODOMETRY = "nav_msgs/msg/Odometry"
-
-    def __init__(self, store: Any, options: BagOptions) -> None:
-        self._types = store.types
-        self._start = options.start_time_s
-
-    def nanoseconds(self, time: float) -> int:
-        return self._start * 10**9 + round(time * 1e9)
-
-    def _header(self, time: float, seq: int, frame: str) -> Any:
-        secs, nsecs = divmod(self.nanoseconds(time), 10**9)
-        stamp = self._types["builtin_interfaces/msg/Time"](sec=secs, nanosec=nsecs)
-        return self._types["std_msgs/msg/Header"](seq=seq, stamp=stamp, frame_id=frame)
-
-    def _vector(self, v: Array) -> Any:
-        return self._types["geometry_msgs/msg/Vector3"](x=float(v[0]), y=float(v[1]), z=float(v[2]))
-
-    def _quaternion(self, R: Array) -> Any:
-        w, x, y, z = (float(c) for c in quaternion_from_matrix(R))
-        return self._types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
-
-    def image(self, time: float, seq: int, grey: NDArray[np.uint8]) -> Any:
-        h, w = grey.shape
-        return self._types[self.IMAGE](
-            header=self._header(time, seq, "pal"),
-            height=h,
-            width=w,
-            encoding="mono8",
-            is_bigendian=0,
-            step=w,
-            data=np.ascontiguousarray(grey).reshape(-1),
-        )
-
-    def imu(self, time: float, seq: int, gyro: Array, accel: Array) -> Any:
-        unknown = np.zeros(9)
-        no_orientation = np.array([-1.0, *np.zeros(8)])  # REP 145: -1 says the orientation is not measured
-        return self._types[self.IMU](
-            header=self._header(time, seq, "base_link"),
-            orientation=self._quaternion(np.eye(3)),
-            orientation_covariance=no_orientation,
-            angular_velocity=self._vector(gyro),
-            angular_velocity_covariance=unknown,
-            linear_acceleration=self._vector(accel),
-            linear_acceleration_covariance=unknown,
-        )
-
-    def odometry(self, time: float, seq: int, T: Array) -> Any:
-        t = self._types
-        point = t["geometry_msgs/msg/Point"](x=float(T[0, 3]), y=float(T[1, 3]), z=float(T[2, 3]))
-        pose = t["geometry_msgs/msg/Pose"](position=point, orientation=self._quaternion(T[:3, :3]))
-        twist = t["geometry_msgs/msg/Twist"](linear=self._vector(np.zeros(3)), angular=self._vector(np.zeros(3)))
-        return t[self.ODOMETRY](
-            header=self._header(time, seq, "world"),
-            child_frame_id="pal",
-            pose=t["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
-            twist=t["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
-        )
+def _odometry(make: MessageMaker, header: Any, T: Array) -> Any:
+    """The body's pose ``T`` as PALVIO's recordings hold it."""
+    types = make.types
+    w, x, y, z = (float(c) for c in quaternion_from_matrix(T[:3, :3]))
+    point = types["geometry_msgs/msg/Point"](x=float(T[0, 3]), y=float(T[1, 3]), z=float(T[2, 3]))
+    turned = types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+    pose = types["geometry_msgs/msg/Pose"](position=point, orientation=turned)
+    still = make.vector(np.zeros(3))
+    return types[ODOMETRY](
+        header=header,
+        child_frame_id="pal",
+        pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
+        twist=types["geometry_msgs/msg/TwistWithCovariance"](
+            twist=types["geometry_msgs/msg/Twist"](linear=still, angular=still), covariance=np.zeros(36)
+        ),
+    )

@@ -1,8 +1,13 @@
-"""LF-VISLAM's adapter against a stand-in for a ROS workspace whose nodes check the settings."""
+"""LF-VISLAM's adapter against a stand-in for a ROS workspace whose nodes check the settings.
+
+The genuine program runs, too, where a workspace with it is sourced.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -11,6 +16,7 @@ import pytest
 from panobench_lf_vislam import SPEC
 from panobench_lf_vislam.method import LfVislam, LfVislamConfig, ring_section
 
+import panobench
 from panobench import Camera, MethodError, Trajectory, UnsupportedError
 from panobench.external import BAG_START_S, camodocal_camera, opencv_yaml
 from panobench.geometry import invert_pose, make_pose, so3_exp
@@ -135,3 +141,14 @@ def test_the_settings_are_those_published_for_palvio(tmp_path: Path) -> None:
     values = LfVislam().settings(PAL, imu, tmp_path, tmp_path)
     expected = {"freq": 10, "estimate_extrinsic": 1, "max_cnt": 200, "min_dist": 20, "acc_w": 0.04, "gyr_w": 0.002}
     assert {key: values[key] for key in expected} == expected
+
+
+@pytest.mark.skipif(LfVislam.missing() is not None, reason="no workspace with LF-VISLAM is sourced")
+def test_the_genuine_lf_vislam_follows_a_smooth_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()  # it takes longer than a second to work off its buffer
+    bag = ["--out", str(tmp_path / "path.bag"), "--frames", "120", "--source-width", "512", "--quiet"]
+    subprocess.run([sys.executable, "-m", "panobench", "synth", "palvio", *bag], check=True)
+    where = {"dataset": "palvio", "sequence": "path", "root": str(tmp_path), "camera": "pal", "width": 1280}
+    run = panobench.run(tmp_path / "run", method="lf-vislam", settings={"rate": 0.3, "timeout_s": 180}, **where)
+    assert run.metrics["tracked"] > 0.5
+    assert run.metrics["ate_rmse_m"] < 0.3
