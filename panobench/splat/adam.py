@@ -360,4 +360,5 @@ class GaussianAdam:
 
     def select(self, keep: NDArray[np.bool_]) -> None:
         """Keep the state of the Gaussians that ``keep`` (N,) marks."""
-        self.m, self.v, self.steps = self.m[keep], self.v[keep], self.steps[keep]
+        self.m, self.v = np.compress(keep, self.m, axis=0), np.compress(keep, self.v, axis=0)
+        self.steps = np.compress(keep, self.steps)

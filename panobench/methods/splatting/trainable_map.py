@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import Sim3, matrix_from_quaternion, quaternion_from_matrix
+from panobench.geometry import Sim3
 from panobench.splat.backend import empty_map, new_adam
 from panobench.splat.gaussians import F32, GaussianMap
+from panobench.splat.motion import move
 
 if TYPE_CHECKING:
     from panobench.gpu.device import Device
@@ -56,8 +57,8 @@ class TrainableMap:
         """Drop all Gaussians but these (N,)."""
         self.gaussians = self.gaussians.kept(which)
         self.adam.select(which)
-        self.anchors, self.ids = self.anchors[which], self.ids[which]
-        self.pull, self.pulls = self.pull[which], self.pulls[which]
+        self.anchors, self.ids = np.compress(which, self.anchors), np.compress(which, self.ids)
+        self.pull, self.pulls = np.compress(which, self.pull), np.compress(which, self.pulls)
 
     def drop(self, which: NDArray[np.bool_]) -> int:
         """Drop these Gaussians (N,); returns how many there were."""
@@ -68,15 +69,7 @@ class TrainableMap:
 
     def follow(self, motions: list[Sim3]) -> None:
         """Move each Gaussian, in place, by the motion (old world to new world) of its anchor."""
-        scale = np.array([m.scale for m in motions])[self.anchors]
-        R = np.stack([m.R for m in motions])[self.anchors]
-        t = np.stack([m.t for m in motions])[self.anchors]
-        g = self.gaussians
-        g.update(
-            means=scale[:, None] * np.einsum("nij,nj->ni", R, g.means) + t,
-            log_scales=g.log_scales + np.log(scale)[:, None].astype(np.float32),
-            quats=quaternion_from_matrix(R @ matrix_from_quaternion(g.quats)),
-        )
+        move(self.gaussians, self.anchors, motions)
 
     def move(self, which: NDArray[np.bool_], motion: Sim3) -> None:
         """Move these Gaussians (N,), in place, by one motion (old world to new world)."""
