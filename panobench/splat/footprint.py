@@ -189,7 +189,7 @@ def _box_pinhole(buf, j, intr):  # type: ignore[no-untyped-def]
 
 
 @njit(**JIT)
-def store_block(buf, n, k0, bound, intr, colours, footprints, rows, cols, key):  # type: ignore[no-untyped-def]
+def store_block(buf, n, k0, bound, intr, footprints, rows, cols, key):  # type: ignore[no-untyped-def]
     """Write a block's n footprints to rows k0 .. k0 + n - 1 of ``footprints``, ``rows``, ``cols`` and ``key``.
 
     See ``project`` for these arrays. A Gaussian that is not seen keeps a key of -1.
@@ -211,7 +211,7 @@ def store_block(buf, n, k0, bound, intr, colours, footprints, rows, cols, key): 
             continue
         for i in range(3):
             footprints[k, F.p1[i]], footprints[k, F.p2[i]] = buf[j + _FP.p1[i]], buf[j + _FP.p2[i]]
-            footprints[k, F.m[i]], footprints[k, F.colour[i]] = buf[j + _FP.m[i]], colours[k, i]
+            footprints[k, F.m[i]], footprints[k, F.colour[i]] = buf[j + _FP.m[i]], buf[j + P.colour[i]]
         footprints[k, F.opacity], footprints[k, F.cut], footprints[k, F.u] = buf[j + _FP.opacity], buf[j + _FP.cut], _F0
         footprints[k, F.cos_radius], footprints[k, F.sin_radius] = buf[j + _FP.cos_radius], buf[j + _FP.sin_radius]
         footprints[k, F.slope[0]], footprints[k, F.slope[1]] = buf[j + _FP.slope[0]], buf[j + _FP.slope[1]]

@@ -59,22 +59,23 @@ def first_order(mu, code, intr):  # type: ignore[no-untyped-def]
 
 @njit(**JIT)
 def _first_order(  # type: ignore[no-untyped-def]
-    k, means, log_scales, quats, logits, colours, R, t, code, intr, low_pass, near, sloped, footprints, rows, cols, key
-):
-    """The first-order footprint of Gaussian k; arguments as in ``project``, R and t as rows."""
+    g, k, means, log_scales, quats, logits, colours, R, t, code, intr, low_pass, near, sloped,
+    footprints, rows, cols, key,
+):  # fmt: skip
+    """The first-order footprint of Gaussian g, written to row k; arguments as in ``project``, R and t as rows."""
     W, H = intr[CAM.width], intr[CAM.height]
     key[k] = np.float32(-1.0)
-    mx, my, mz = rotate(R, (float(means[k, 0]), float(means[k, 1]), float(means[k, 2])))
+    mx, my, mz = rotate(R, (float(means[g, 0]), float(means[g, 1]), float(means[g, 2])))
     mu = (mx + t[0], my + t[1], mz + t[2])
     dist = np.sqrt(dot(mu, mu))
     if not (dist >= near and dist < 1e9) or (code == CONIC_PINHOLE and mu[2] < near):
         return
-    o = 1.0 / (1.0 + np.exp(-float(logits[k])))
+    o = 1.0 / (1.0 + np.exp(-float(logits[g])))
     if not o > ALPHA_MIN:
         return
     q_cut = 2.0 * np.log(o / ALPHA_MIN)
-    q = (quats[k, 0], quats[k, 1], quats[k, 2], quats[k, 3])
-    C = camera_covariance(axes_in_camera(q, (log_scales[k, 0], log_scales[k, 1], log_scales[k, 2]), R))
+    q = (quats[g, 0], quats[g, 1], quats[g, 2], quats[g, 3])
+    C = camera_covariance(axes_in_camera(q, (log_scales[g, 0], log_scales[g, 1], log_scales[g, 2]), R))
     u, v, J0, J1, _, _ = first_order(mu, code, intr)
     C0, C1 = symmetric_times(C, J0), symmetric_times(C, J1)
     S00, S01, S11 = dot(J0, C0) + low_pass, dot(J0, C1), dot(J1, C1) + low_pass
@@ -100,16 +101,16 @@ def _first_order(  # type: ignore[no-untyped-def]
         return
     footprints[k, F.opacity], footprints[k, F.distance], footprints[k, F.cut] = o, dist, q_cut
     for c in range(3):
-        footprints[k, F.colour[c]] = colours[k, c]
+        footprints[k, F.colour[c]] = colours[g, c]
     key[k] = np.float32(dist)
 
 
 @njit(**PARALLEL)
 def project(  # type: ignore[no-untyped-def]
-    means, log_scales, quats, logits, colours, R_cw, t_cw, code, bound, intr, pixel_angle, low_pass, near,
+    chosen, means, log_scales, quats, logits, colours, R_cw, t_cw, code, bound, intr, pixel_angle, low_pass, near,
     sloped, footprints, rows, cols, key, threads,
 ):  # fmt: skip
-    """Project N Gaussians.
+    """Project the Gaussians ``chosen`` (M,) of N.
 
     means, log_scales, quats, logits, colours: shapes as in ``GaussianMap``. R_cw (3, 3), t_cw (3,): world to camera.
     code, bound, intr, pixel_angle: the view's projection, bound, intrinsics and pixel angle. low_pass: variance added
@@ -117,10 +118,10 @@ def project(  # type: ignore[no-untyped-def]
     surface: its mean given the direction, which on a Gaussian flattened along a wall is the wall's. Otherwise every
     pixel gets the distance of the mean.
 
-    Writes footprints (N, FOOTPRINT_COLUMNS) float32; key (N,) float32: the distance, -1 for what is not visible;
-    rows, cols (N, 2) int32: first and last pixel row and column, where columns may run past a panorama's edges.
+    Writes footprints (M, FOOTPRINT_COLUMNS) float32; key (M,) float32: the distance, -1 for what is not visible;
+    rows, cols (M, 2) int32: first and last pixel row and column, where columns may run past a panorama's edges.
     """
-    count = means.shape[0]
+    count = len(chosen)
     share = (count + threads - 1) // threads
     low = low_pass * pixel_angle * pixel_angle
     for th in prange(threads):
@@ -131,15 +132,15 @@ def project(  # type: ignore[no-untyped-def]
             for k0 in range(th * share, end, BLOCK):
                 n = min(BLOCK, end - k0)
                 for j in range(n):
-                    load_parameters(buf, j, k0 + j, means, log_scales, quats, logits, colours)
+                    load_parameters(buf, j, chosen[k0 + j], means, log_scales, quats, logits, colours)
                 if bound == BOUND_LATLON:
                     sphere_block(buf, n, R, t, near, low, sloped, True)
                 else:
                     sphere_block(buf, n, R, t, near, low, sloped, False)
-                store_block(buf, n, k0, bound, intr, colours, footprints, rows, cols, key)
+                store_block(buf, n, k0, bound, intr, footprints, rows, cols, key)
         else:
             for k in range(th * share, end):
                 _first_order(
-                    k, means, log_scales, quats, logits, colours, R, t, code, intr, low_pass, near, sloped,
+                    chosen[k], k, means, log_scales, quats, logits, colours, R, t, code, intr, low_pass, near, sloped,
                     footprints, rows, cols, key,
                 )  # fmt: skip

@@ -198,8 +198,8 @@ class Render:
         do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
         sums = blend.new_moments(s.threads, len(tape.gaussians))
         blend.blend_backward(
-            tape.footprints, self.order, tape.starts, tape.entries, tape.spans, s.view.rays, s.wrap, s.view.tiles,
-            s.threads, self.planes, self.depth, self.opacity, tape.done, dc, dd, do, sums,
+            tape.footprints, self.order, tape.starts, tape.entries, tape.spans, s.view.rays, s.wrap, s.stop,
+            s.view.tiles, s.threads, self.planes, self.depth, self.opacity, tape.done, dc, dd, do, sums,
         )  # fmt: skip
         return Moments(sums, tape.gaussians, tape.R_cw, tape.t_cw, s.view, s.low_pass)
 
@@ -260,17 +260,18 @@ class Renderer:
         T_cw = invert_pose(T_wc)
         R_cw, t_cw = np.ascontiguousarray(T_cw[:3, :3]), np.ascontiguousarray(T_cw[:3, 3])
         n = len(gaussians)
-        footprints, key = np.empty((n, FOOTPRINT_COLUMNS), np.float32), np.empty(n, np.float32)
-        rows, cols = np.empty((n, 2), np.int32), np.empty((n, 2), np.int32)
+        chosen = np.arange(n, dtype=np.int32) if culled is None else np.flatnonzero(~culled).astype(np.int32)
+        m = len(chosen)
+        footprints, key = np.empty((m, FOOTPRINT_COLUMNS), np.float32), np.empty(m, np.float32)
+        rows, cols = np.empty((m, 2), np.int32), np.empty((m, 2), np.int32)
         project.project(
-            gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.colours,
+            chosen, gaussians.means, gaussians.log_scales, gaussians.quats, gaussians.opacity_logits, gaussians.colours,
             R_cw, t_cw, v.projection, v.bound, v.intrinsics, v.pixel_angle, s.low_pass, s.near,
             sloped, footprints, rows, cols, key, s.threads,
         )  # fmt: skip
-        if culled is not None:
-            key[culled] = -1.0
-        order = binning.radix_order(key)
-        footprints, rows, cols = binning.gather(order, footprints, rows, cols)
+        nearest = binning.radix_order(key)
+        footprints, rows, cols = binning.gather(nearest, footprints, rows, cols)
+        order = chosen[nearest]
         drawn = np.zeros(v.tiles_x * v.tiles_y, np.bool_)
         drawn[v.tiles] = True
         starts, entries, spans = binning.bin_tiles(
