@@ -36,7 +36,7 @@ _CHANNELS = 13
 _Y, _Z, _T, _R, _G, _B, _D = (np.uint64(_N * k) for k in range(1, 8))
 _GR, _GG, _GB, _GD, _GO, _REM = (np.uint64(_N * k) for k in range(4, 10))
 _A, _T1, _T2 = (np.uint64(_N * k) for k in range(10, 13))
-_F0, _F1 = np.float32(0.0), np.float32(1.0)
+_F0, _F1, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 # exp(-s / 2) = (cubic in s)^32 for s in [0, 12]; beyond, alpha is below 1/255 whatever the opacity. This is the cubic
 # of least relative error: 4e-7, hence 1.3e-5 for the power.
 _C0, _C1 = np.float32(0.9999996), np.float32(-0.9999335 / 64)
@@ -91,15 +91,19 @@ def _exp_half(s):  # type: ignore[no-untyped-def]
     return e * e
 
 
-def _forward_span_of(weigh: bool) -> Callable[..., None]:
-    """A kernel that draws one footprint over n pixels from lo; ``weigh``: it adds the sum of weights to sums[th, k]."""
+def _forward_span_of(count: bool) -> Callable[..., None]:
+    """A kernel that draws one footprint over n pixels from lo.
+
+    count: it adds to touched[th, k] how many of them the footprint touches while more than half of the light still
+    passes, and to weights[th, k] the sum of its weights.
+    """
 
     @njit(**JIT_FINITE)
-    def span(p, p1z, p2z, buf, lo, n, sums, th, k):  # type: ignore[no-untyped-def]
-        o = p[F.opacity]
+    def span(p, p1z, p2z, buf, lo, n, touched, weights, th, k):  # type: ignore[no-untyped-def]
+        o, q_cut = p[F.opacity], p[F.cut]
         cr, cg, cb, cd = p[F.colour[0]], p[F.colour[1]], p[F.colour[2]], p[F.distance]
         d1, d2 = p[F.slope[0]], p[F.slope[1]]
-        total = _F0
+        total, hits = _F0, _F0
         for j in range(n):
             i = lo + j
             t1, t2, square = _offset(p, p1z, p2z, buf, i)
@@ -111,28 +115,17 @@ def _forward_span_of(weigh: bool) -> Callable[..., None]:
             buf[i + _B] += w * cb
             buf[i + _D] += w * (cd + d1 * t1 + d2 * t2)
             buf[i + _T] = T - w
-            if weigh:
+            if count:
                 total += w
-        if weigh:
-            sums[th, k] += total
+                hits += _F1 if (square <= q_cut) & (T > _HALF) else _F0
+        if count:
+            weights[th, k] += total
+            touched[th, k] += np.int32(hits)
 
     return span
 
 
-_forward_span, _forward_span_weighed = _forward_span_of(False), _forward_span_of(True)
-
-
-@njit(**JIT_FINITE)
-def _count_span(p, p1z, p2z, buf, lo, n):  # type: ignore[no-untyped-def]
-    """How many of n pixels from lo footprint p touches while more than half of the light still passes."""
-    q_cut = p[F.cut]
-    count = _F0
-    for j in range(n):
-        i = lo + j
-        square = _offset(p, p1z, p2z, buf, i)[2]
-        hit = (square <= q_cut) & (buf[i + _T] > np.float32(0.5))
-        count += _F1 if hit else _F0
-    return count
+_forward_span, _forward_span_counted = _forward_span_of(False), _forward_span_of(True)
 
 
 @njit(**JIT)
@@ -159,12 +152,12 @@ def blend_forward(  # type: ignore[no-untyped-def]
     row of a tile is finished when no pixel's transmittance exceeds this. tiles (K,) int32: the tiles to draw.
 
     Writes colour (3, H, W), depth (H, W) = sum of w dist, opacity (H, W) = sum of w, and done (tiles,), the number of
-    entries used. Where they have M columns, and not none, it adds to touched (threads, M) int32 the pixels touched, and
-    to weights (threads, M) float32 the sum of w.
+    entries used. Where these have M columns, and not none, it adds to touched (threads, M) int32 the pixels that a
+    footprint touches while more than half of the light still passes, and to weights (threads, M) float32 the sum of w.
     """
     H, W = rays.shape[1], rays.shape[2]
     tiles_x = (W + TILE_W - 1) // TILE_W
-    count, weigh = touched.shape[1] > 0, weights.shape[1] > 0
+    count = touched.shape[1] > 0
     for th in prange(threads):
         buf = np.empty(_CHANNELS * _N, np.float32)
         for ti in range(th, len(tiles), threads):
@@ -188,11 +181,9 @@ def blend_forward(  # type: ignore[no-untyped-def]
                 p1z, p2z = p[F.p1[2]] - p[F.p1[0]] * shift, p[F.p2[2]] - p[F.p2[0]] * shift
                 lo, n = np.uint64(r0 * TILE_W), np.uint64((r1 - r0) * TILE_W)
                 if count:
-                    touched[th, k] += np.int32(_count_span(p, p1z, p2z, buf, lo, n))
-                if weigh:
-                    _forward_span_weighed(p, p1z, p2z, buf, lo, n, weights, th, k)
+                    _forward_span_counted(p, p1z, p2z, buf, lo, n, touched, weights, th, k)
                 else:
-                    _forward_span(p, p1z, p2z, buf, lo, n, weights, th, k)
+                    _forward_span(p, p1z, p2z, buf, lo, n, touched, weights, th, k)
                 if used % 32 == 0:
                     first, end = _open_rows(buf, stop, first, end, x1 - x0)
                     if end <= first:

@@ -281,8 +281,8 @@ class Renderer:
         planes = new((3, v.height, v.width), np.float32)
         depth, opacity = new((v.height, v.width), np.float32), new((v.height, v.width), np.float32)
         done = np.zeros(v.tiles_x * v.tiles_y, np.int32)
-        counts = np.zeros((s.threads, len(order) if count_touched else 0), np.int32)
-        sums = np.zeros((s.threads, len(order) if sum_weights else 0), np.float32)
+        counted = len(order) if count_touched or sum_weights else 0
+        counts, sums = np.zeros((s.threads, counted), np.int32), np.zeros((s.threads, counted), np.float32)
         blend.blend_forward(
             footprints, starts, entries, spans, v.rays, s.wrap, s.stop, v.tiles, s.threads,
             planes, depth, opacity, done, counts, sums,
