@@ -91,5 +91,5 @@ class BackgroundJobs:
 
     def _make_factor_of(self, k: int) -> None:
         m = self.mapper
-        render = m.renderer.forward(m.map.gaussians, self.trajectory[self.graph.frames[k].index], sloped=True)
+        render = m.occluded.look(m.renderer, self.trajectory[self.graph.frames[k].index], sloped=True)
         self.graph.make_factor(k, self.trajectory, render.expected_depth(0.5))

@@ -95,6 +95,7 @@ class PanogsMethod(OnlineMethod):
         self.relocaliser = Relocaliser(self.tracker, self.places, c.relocalisation)
         self.mapper = Mapper(camera, renderer, c, self.trajectory, context.seed)
         self.tracker.transients = self.mapper.transients
+        self.tracker.occluded = self.mapper.occluded
         rows = self.rig.rolling_shutter(c.rolling_shutter) if self.rig else c.rolling_shutter
         stitch = StitchOptions() if self.rig else c.stitch  # the panorama of a rig is not stitched
         self.shutter, self.seam = RollingShutter(camera, rows), Seam(camera, stitch)

@@ -31,6 +31,12 @@ class VisibilityCulling:
         if self.steps == 0:
             return None
         self.steps -= 1
+        return self.unused_of(ids)
+
+    def unused_of(self, ids: NDArray[np.int32]) -> NDArray[np.bool_] | None:
+        """(N,): which Gaussians the last full render did not use, given their ids (N,); None without one."""
+        if not len(self.unused):
+            return None
         unused = np.unpackbits(self.unused).view(bool)
         return np.asarray(unused[np.minimum(ids, len(unused) - 1)])
 

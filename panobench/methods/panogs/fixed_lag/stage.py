@@ -89,7 +89,7 @@ class FixedLag:
         used = [f.index for f in found.used]
         swept = found.swept.rescaled(trajectory.relative(target.index, used))
         view = View(target.index, target.image, trajectory[target.index], visible=target.visible)
-        render = m.renderer.forward(m.map.gaussians, view.T_wc, sloped=True)
+        render = m.occluded.look(m.renderer, view.T_wc, sloped=True)
         mapped = render.expected_depth(0.5)
         if found.smoothed:
             scale = self.depth_sweep.map_over_swept(swept, mapped)
@@ -120,7 +120,7 @@ class FixedLag:
     def _sees_new(self, target: BufferedFrame) -> bool:
         m, T_wc = self.mapper, self.trajectory[target.index]
         view = View(target.index, target.image, T_wc, visible=target.visible)
-        render = m.renderer.forward(m.map.gaussians, view.T_wc)
+        render = m.occluded.look(m.renderer, view.T_wc)
         return float(m.weights[m.unknown(view, render)].sum()) > self.options.new_share
 
     def _find(self, target: BufferedFrame, others: list[BufferedFrame], scene_depth: float, *, smooth: bool) -> None:

@@ -17,6 +17,7 @@ from panobench.methods.panogs.mapping.split import SplitRule, halves, too_coarse
 from panobench.methods.panogs.tracking.tracker import Tracked
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, WorldMotion
 from panobench.methods.splatting.covisibility import overlap, update_window
+from panobench.methods.splatting.occlusion import OccludedMap
 from panobench.methods.splatting.seeding import fill_depth, seed_gaussians
 from panobench.methods.splatting.trainable_map import TrainableMap
 from panobench.methods.splatting.transients import Transients
@@ -46,6 +47,7 @@ class Mapper:
         self.map = TrainableMap(config.rates.beta1, config.rates.beta2, renderer.device)
         self.optimiser = MapOptimiser(camera, renderer, config, self.map, trajectory, self.rng)
         self.weights, self.width = self.optimiser.weights, ViewWidth.of(camera)
+        self.occluded = OccludedMap(self.map, self.weights, config.mapping.culling_px, config.tracking.opacity_min)
         self._rays = np.nan_to_num(camera.rays()[::4, ::4])
         self.split_count = 0
         valid = int(np.count_nonzero(camera.valid_mask()))

@@ -11,6 +11,7 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.trajectory import WorldMotion
+from panobench.methods.splatting.occlusion import OccludedMap
 from panobench.methods.splatting.transients import Transients
 from panobench.methods.splatting.views import PoseAdam
 from panobench.photometric.align import Alignment, align
@@ -58,6 +59,7 @@ class Tracker:
         self.align_options, self.coarse_options = fine, replace(fine, step_m=6e-4, step_rad=3e-4)
         self.pixel = float(np.sqrt(np.median(camera.solid_angle()[self.valid])))
         self.transients: Transients | None = None
+        self.occluded: OccludedMap | None = None
         self.hidden: NDArray[np.bool_] | None = None  # what contradicted the map in the last frame, if anything did
         self.reference: Reference | None = None
         self.T_reference = np.eye(4)
@@ -138,8 +140,7 @@ class Tracker:
             iterations += a.iterations
         for k in range(max(self.options.renders, 1)):
             known = k > 0 or self.reference is not None
-            weigh = self.config.mapping.culling_px > 0
-            render = self.renderer.forward(gaussians, T, count_touched=True, sum_weights=weigh, sloped=True)
+            render = self._draw(gaussians, T)
             self.reference, self.T_reference = self.make_reference(render, len(frame), image), T
             coarsest, device = 1 if known else None, self.renderer.device
             a = align(self.reference, frame, np.eye(4), self.align_options, coarsest=coarsest, device=device)
@@ -148,6 +149,11 @@ class Tracker:
             if self.moved_px(a.T_fr, render) < self.options.render_again_px:
                 break
         return Tracked(T, render, a.cost, iterations, bool(np.isfinite(a.cost)) and a.overlap > 0.5, a)
+
+    def _draw(self, gaussians: GaussianMap, T_wc: NDArray[np.float64]) -> Render:
+        if self.occluded is not None and gaussians is self.occluded.map.gaussians:
+            return self.occluded.follow(self.renderer, T_wc)
+        return self.renderer.forward(gaussians, T_wc, count_touched=True, sloped=True)
 
     def make_reference(self, render: Render, levels: int, image: NDArray[np.uint8] | None = None) -> Reference:
         # What is outside the field of view could only be looked for in vain, and would count as not found.
