@@ -207,7 +207,7 @@ def type_words(hint: Any) -> str:
     if origin in (typing.Union, types.UnionType):
         return " or ".join(type_words(a) for a in args)
     if origin is typing.Literal:
-        return "one of " + ", ".join(str(a) for a in args)
+        return str(args[0]) if len(args) == 1 else "one of " + ", ".join(str(a) for a in args)
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
         return "one of " + ", ".join(str(m.value) for m in hint)
     if origin in (tuple, list):

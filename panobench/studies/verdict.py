@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from panobench.bench.records.study_record import StudyResult
-from panobench.bench.run.checking import BACKWARDS, CHECKER
+from panobench.bench.run.checking import CHECKER
 from panobench.bench.suite.cells import Cell
 from panobench.bench.suite.store import Stored
 from panobench.studies.base import StudyRequest
 from panobench.studies.cells import QUICK, RunOptions, reasons, run_cells
+from panobench.verdict.assess import BACKWARDS
 from panobench.verdict.base import FAILED, TRUSTED
 
 #: What happens to the stream (names of dataset ``disturbed``), "" for nothing.

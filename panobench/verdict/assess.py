@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from panobench.types import Estimate
 from panobench.verdict import estimate as own
@@ -10,6 +11,8 @@ from panobench.verdict import trajectory as path
 from panobench.verdict.base import TRUSTED, Evidence, Verdict, decide
 from panobench.verdict.height import steady_height
 
+#: The name under which a method that goes through the frames backwards is asked: it is not another one.
+BACKWARDS = "backwards"
 #: Trust in a second method's opinion from which it confirms the path.
 CONFIRMED = 0.9
 
@@ -49,11 +52,27 @@ def assess(
         own.inertial(estimate),
         own.joined_maps(estimate),
         own.map_pictures(metrics or {}, moving=estimate.extra.get("moving") is True),
-        *opinions,
     ]
+    doubts_itself = any(e is not None and e.trust < TRUSTED for e in found)
+    found += opinions
     if rejected:
         found.append(Evidence("status", 0.0, rejected))
-    return decide([e for e in found if e is not None])
+    verdict = decide([e for e in found if e is not None])
+    better = _better(asked, given) if doubts_itself and not not_rigid else None
+    return verdict if better is None else replace(verdict, advice=(better, *verdict.advice))
+
+
+def _better(asked: Mapping[str, Estimate], given: int) -> str | None:
+    """Advice to take another method that was asked, if nothing that it says of itself is against it."""
+    for name, other in asked.items():
+        track = other.trajectory
+        about = [path.coverage(len(track), given), path.steadiness(track), own.reprojection(other)]
+        if name != BACKWARDS and all(e is None or e.trust >= CONFIRMED for e in about):
+            return (
+                f"try '{name}' (--method {name}): it has {len(track)} of {given} frames, and nothing in its own path "
+                "speaks against it"
+            )
+    return None
 
 
 def _unsure(other: Estimate) -> bool:

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from panobench.bench.records.record import read_record
-from panobench.bench.run.checking import BACKWARDS, Backwards, check_estimate, chosen_check
+from panobench.bench.run.checking import Backwards, check_estimate, chosen_check
 from panobench.bench.run.observer import Observer
 from panobench.bench.run.request import RunRequest
 from panobench.bench.run.runner import execute
 from panobench.testing.sequences import TinySequence
 from panobench.types import Trajectory
+from panobench.verdict.assess import BACKWARDS
 
 TINY = RunRequest(method="sparse", sequence="tiny", width=256, max_frames=24)
 

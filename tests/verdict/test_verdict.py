@@ -7,7 +7,7 @@ import pytest
 
 from panobench.geometry import Sim3, se3_exp, so3_exp
 from panobench.types import DepthEstimate, Estimate, Trajectory
-from panobench.verdict.assess import assess
+from panobench.verdict.assess import BACKWARDS, assess
 from panobench.verdict.base import Evidence, Word, decide, falling
 from panobench.verdict.trajectory import coverage, path_deviation, second_method, steadiness
 
@@ -197,6 +197,17 @@ def test_a_path_that_hangs_together_by_looks_alone_is_a_doubt() -> None:
     assert verdict.word is Word.DOUBTFUL
     assert "after a cut" in verdict.reasons[0]
     assert assess(Estimate(walk(), extra={"maps": 1, "joined": 1, "joined_by_looks": 0}), 60).word is Word.TRUSTED
+
+
+def test_where_a_run_doubts_itself_a_method_that_does_not_is_advised() -> None:
+    lost = Estimate(Trajectory(walk().times[:20], walk().T_wc[:20]))
+    asked = {"sparse": Estimate(walk(), frames={i: {"error_px": 0.3} for i in range(60)})}
+    assert "--method sparse" in assess(lost, 60, others=asked).advice[0]
+    assert "--method" not in assess(lost, 60, others={BACKWARDS: asked["sparse"]}).advice[0]
+    assert "--method" not in assess(lost, 60, others=asked, not_rigid=0.8).advice[0]
+    assert assess(Estimate(walk()), 60, others=asked).advice == ()
+    doubted = {"sparse": Estimate(walk(), frames={i: {"error_px": 1.4} for i in range(60)})}
+    assert "--method" not in assess(lost, 60, others=doubted).advice[0]
 
 
 def test_a_run_that_does_not_count_has_failed() -> None:

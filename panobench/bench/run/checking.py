@@ -24,9 +24,10 @@ from panobench.datasets.base import FrameSequence
 from panobench.errors import PanobenchError
 from panobench.methods.base import BatchMethod, MethodContext
 from panobench.types import Estimate, RunStatus, Trajectory
+from panobench.verdict.assess import BACKWARDS
 
-#: Values of the run option ``check`` that are no methods: decide by the data; nothing; the same method backwards.
-AUTO, NONE, BACKWARDS = "auto", "none", "backwards"
+#: Values of the run option ``check`` that are no methods, beside ``BACKWARDS``: decide by the data; nothing.
+AUTO, NONE = "auto", "none"
 #: The method that checks others, cheap beside most of them; it checks itself backwards.
 CHECKER = "sparse"
 

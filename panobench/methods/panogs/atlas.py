@@ -23,6 +23,7 @@ from panobench.methods.panogs.method import PanogsMethod, Phase
 from panobench.methods.panogs.several_maps.cuts import CutDetector
 from panobench.methods.panogs.several_maps.joining import join
 from panobench.methods.panogs.several_maps.lookout import Lookout, nearby
+from panobench.methods.panogs.tracking.flicker import Flicker
 from panobench.types import Estimate, Frame
 
 Pose = NDArray[np.float64]
@@ -44,6 +45,12 @@ class AtlasMethod(OnlineMethod):
 
     def start(self, camera: Camera, context: MethodContext) -> None:
         self.camera, self.context, self.options = camera, context, self.config.atlas
+        # The lenses of a rig may be turned any way, and are read apart from one another.
+        flicker = self.config.exposure.flicker if context.rig is None else False
+        self.flicker = Flicker(flicker, context.log)
+        self._start_maps(context)
+
+    def _start_maps(self, context: MethodContext) -> None:
         self.maps = [self._new_map(context)]
         # An IMU bridges gaps and a rig starts again in metres; a saved map is the only world there is.
         single = context.imu is not None or context.rig is not None or context.saved_map is not None
@@ -56,7 +63,7 @@ class AtlasMethod(OnlineMethod):
         self.missed: deque[Frame] = deque(maxlen=self.options.lost)  # the last frames that were not
         self.lost_for = 0  # frames since the last one that was tracked, or since the last attempt at another map
         self.failed = 0  # attempts at another map since
-        self.cuts = CutDetector(camera, self.options.alike)
+        self.cuts = CutDetector(self.camera, self.options.alike)
         self.cut = False  # between the last frame that was tracked and the first one that was not
         self.joined = self.joined_by_looks = 0
 
@@ -72,6 +79,16 @@ class AtlasMethod(OnlineMethod):
     # -- one frame -----------------------------------------------------------------------------------------------------
 
     def track(self, frame: Frame) -> Pose | None:
+        if self.flicker.watching:
+            again = self.flicker.watch(frame, waiting=self.newest.phase is Phase.WAITING)
+            if again:
+                self._start_maps(self.context)
+                for earlier in again[:-1]:
+                    self._track(earlier)
+                return self._track(again[-1])
+        return self._track(self.flicker.steady(frame))
+
+    def _track(self, frame: Frame) -> Pose | None:
         self.newest.track(frame)
         if self.enabled and "blank" not in self.newest.numbers.get(frame.index, {}):
             is_cut = self.cuts.look(frame)
@@ -188,6 +205,8 @@ class AtlasMethod(OnlineMethod):
         """The answer of the map that has most frames; how many maps there are is in ``extra``."""
         self.beginning, largest = None, self._largest
         estimate = largest.finish()
+        if self.flicker.bands is not None:
+            estimate.extra["flicker"] = self.flicker.bands.numbers()
         if self.enabled:
             estimate.extra |= {"maps": len(self.maps), "joined": self.joined, "joined_by_looks": self.joined_by_looks}
         others = [one for one in self.maps if one is not largest]

@@ -33,8 +33,9 @@ class ExposureOptions(Options):
     """Bringing frames to the map's exposure (wide views only)."""
 
     match: bool = option(True, "bring frames whose exposure plainly differs from the map's to it")
-    flicker: bool = option(
-        False, "bring each row to its brightness in the frame before: bands of mains light under a rolling shutter"
+    flicker: bool | Literal["auto"] = option(
+        "auto",
+        "take out bands of mains light under a rolling shutter; auto: if the first frames show that there are any",
     )
     least_before: float = option(0.04, "least log gain that is corrected before tracking")
     least_after: float = option(0.015, "least log gain that is corrected after tracking, before mapping")
@@ -330,6 +331,7 @@ PAPER: dict[str, Any] = {
     "rendering.knee": 0.0,
     "start.iterations": 60,
     "exposure.match": False,
+    "exposure.flicker": False,
     "tracking.solver": "adam",
     "tracking.iterations": 15,
     "tracking.renders": 1,

@@ -40,7 +40,6 @@ from panobench.methods.panogs.rigs.frames import rig_frames
 from panobench.methods.panogs.several_maps.continuation import add_places, continue_map, saved_map
 from panobench.methods.panogs.tracking.agreement import agreement
 from panobench.methods.panogs.tracking.exposure import ExposureMatcher, is_blank
-from panobench.methods.panogs.tracking.flicker import Flicker
 from panobench.methods.panogs.tracking.relocalise import Relocaliser
 from panobench.methods.panogs.tracking.tracker import Tracked, Tracker
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
@@ -101,7 +100,6 @@ class PanogsMethod(OnlineMethod):
         self.shutter, self.seam = RollingShutter(camera, rows), Seam(camera, stitch)
         self.rectifier = Rectifier(camera, self.shutter, self.seam)
         self.late_rates = LateRates(self.rectifier, self.trajectory)
-        self.flicker = Flicker(c.exposure.flicker)
         self.exposure = ExposureMatcher(self.mapper.weights, width, c.exposure)
         self.lag = FixedLag(camera, c.fixed_lag, self.mapper, self.trajectory)
         buffer = self.lag.buffer
@@ -127,7 +125,7 @@ class PanogsMethod(OnlineMethod):
 
     def track(self, frame: Frame) -> Pose | None:
         self.inertial.saw(frame.index, frame.time)
-        frame = self.flicker.steady(self.rig.frame(frame) if self.rig else frame)
+        frame = self.rig.frame(frame) if self.rig else frame
         if is_blank(frame.image, self.tracker.valid):
             self._skip(frame)
             return self.trajectory.get(frame.index)
