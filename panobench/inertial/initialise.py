@@ -36,6 +36,9 @@ ACCEL_BIAS_SIGMA = 0.15
 SCALE_SIGMA_MAX = 0.03
 #: Neighbouring residuals are correlated, which a covariance of independent ones does not know.
 CORRELATION = 4.0
+#: Scales by the accelerations and by gravity's size differ by at most this, and by five deviations: an accelerometer
+#: that measures so much too much makes a scale of twice that error.
+GAIN_MAX = 0.05
 #: Residuals of so many times what noise explains are no noise.
 UNEXPLAINED = 5.0
 
@@ -128,7 +131,7 @@ def _windows(visual: VisualPoses, samples: Samples, rotation: RotationFit) -> _S
     rows, rights, curved, count = [], [], [], 0
     moved = samples.shifted(rotation.offset_s)
     begin = 0
-    while begin < len(known):
+    while begin < len(known):  # windows do not overlap; the next one after a gap begins with the first frame behind it
         end = int(np.searchsorted(known.times, known.times[begin] + WINDOW_S, side="right"))
         t = known.times[begin:end]
         if len(t) >= FRAMES_MIN and t[-1] - t[0] > WINDOW_S / 2 and bool(moved.covers(t[:1], t[-1:])[0]):
@@ -145,9 +148,11 @@ def _windows(visual: VisualPoses, samples: Samples, rotation: RotationFit) -> _S
             parabola = np.linalg.qr(np.column_stack([basis, t**2]))[0]
             curved.append(np.sum((p - parabola @ (parabola.T @ p)) ** 2, axis=1))
             count += 1
-        begin = max(end, begin + 1)
+            begin = end
+        else:
+            begin += 1
     if not rows:
-        raise TooLittleMotionError(f"no {WINDOW_S:g} s of poses without a gap, which metres need")
+        raise TooLittleMotionError(f"no {WINDOW_S:g} s of poses and inertial samples without a gap, which metres need")
     signal = float(np.sqrt(np.mean(np.concatenate(curved))))
     return _System(np.concatenate(rows), np.concatenate(rights), count, signal)
 
@@ -186,12 +191,16 @@ def _judge(x: Array, covariance: Array, gravity: float) -> None:
             "not the force against it, or the mounting of its axes is wrong)"
         )
     direction = x[1:4] / max(by_gravity * gravity, 1e-12)
-    across = float(np.sqrt(direction @ covariance[1:4, 1:4] @ direction)) / gravity
-    apart = abs(by_motion - by_gravity)
-    if apart > 5 * np.hypot(deviation, across) and apart > 0.15 * max(by_gravity, abs(by_motion)):
+    difference = np.concatenate([[1.0], -direction / gravity])
+    apart, uncertain = abs(by_motion - by_gravity), float(np.sqrt(difference @ covariance[:4, :4] @ difference))
+    if apart > 5 * uncertain and apart > GAIN_MAX * max(by_gravity, abs(by_motion)):
+        gain = by_gravity / max(by_motion, 1e-12) - 1
+        cause = "a wrong mounting of the accelerometer, or stabilised video"
+        if abs(gain) < 0.2:
+            cause = f"the accelerometer seems to measure {abs(gain):.0%} too {'much' if gain > 0 else 'little'}"
         raise ContradictionError(
             f"the IMU contradicts the camera: by accelerations a unit of the map is {_metres(by_motion)} m, by gravity "
-            f"{_metres(by_gravity)} m (a wrong mounting of the accelerometer, or stabilised video)"
+            f"{_metres(by_gravity)} m ({cause})"
         )
 
 

@@ -33,6 +33,8 @@ PAIRS_MIN, TURNING_MIN_DEG_S = 10, 2.0
 EXPLAINED_MIN, EXPLAINED_AXIS_MIN = 0.9, 0.7
 #: The mounting is corrected if its rotation is off by more than this, and by more than four standard deviations.
 MOUNTING_DEG = 1.0
+#: It is said if the gyroscope turns by so much more or less than the camera.
+GAIN_SAID = 0.015
 #: What is expected of them before anything is known: rad/s and rad.
 GYRO_BIAS_SIGMA, MOUNTING_SIGMA = 0.05, 0.05
 
@@ -43,7 +45,7 @@ class RotationFit:
 
     offset_s: to be added to the samples' times. bias (3,): of the gyroscope, rad/s. R_body_cam (3, 3): the camera's
     axes on the body. noise_rad: of the camera's turn between two frames, per axis. offset_sigma_s: standard deviation.
-    remarks: what was corrected.
+    gain: of the gyroscope, its turns over the camera's, where these tell it. remarks: what was corrected.
     """
 
     offset_s: float
@@ -51,6 +53,7 @@ class RotationFit:
     R_body_cam: Array
     noise_rad: float
     offset_sigma_s: float
+    gain: float = 1.0
     remarks: tuple[str, ...] = ()
 
 
@@ -161,6 +164,9 @@ def _judge(turns: _Turns, samples: Samples, R_cb: Array, offset: float) -> None:
         name = ", ".join(f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(row)))]}" for row in axes)
         text = f"the IMU's axes seem to be ({name}) of what the mounting says"
         mistakes[text + ("" if np.linalg.det(axes) > 0 else ", a left-handed system")] = body @ axes.T @ R_cb.T
+    gain = float(np.sum(camera * (body @ R_cb.T)) / max(np.sum(body**2), 1e-12))
+    unit = f"the gyroscope's rates seem to be {1 / gain:.3g} times too large (another unit)" if gain > 0 else ""
+    mistakes |= {unit: gain * body @ R_cb.T} if unit else {}
     for text, predicted in mistakes.items():
         if _explains(camera, predicted, turns):
             raise ContradictionError(f"the IMU contradicts the camera: {text}")
@@ -225,9 +231,22 @@ def _refine(turns: _Turns, samples: Samples, R_cb: Array, offset: float) -> Rota
         found = free
     else:
         found = _solve(turns, samples, R_cb, free.offset, mounting=False)
+    body = _body_turns(turns, Orientation(samples, found.bias), found.offset)
+    gain = _gain(turns.camera, so3_log(found.R_cb @ body @ found.R_cb.T))
+    if abs(gain - 1) > GAIN_SAID:
+        more = "more" if gain > 1 else "less"
+        remarks += (f"the gyroscope turns by {abs(gain - 1):.1%} {more} than the camera; it is used as it is",)
     return RotationFit(
-        found.offset, found.bias, found.R_cb.T, found.sigma, float(np.sqrt(found.covariance[0, 0])), remarks
+        found.offset, found.bias, found.R_cb.T, found.sigma, float(np.sqrt(found.covariance[0, 0])), gain, remarks
     )
+
+
+def _gain(camera: Array, predicted: Array) -> float:
+    """The gyroscope's turns (P, 3) over the camera's: the weighted median, in which a large turn says most."""
+    squares = np.maximum(np.sum(camera**2, axis=1), 1e-12)
+    ratios = np.sum(camera * predicted, axis=1) / squares
+    order = np.argsort(ratios)
+    return float(ratios[order][np.searchsorted(np.cumsum(squares[order]), 0.5 * squares.sum())])
 
 
 @dataclass(frozen=True)

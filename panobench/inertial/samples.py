@@ -16,6 +16,8 @@ from panobench.types import Imu
 Array = NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.80665
+#: What an accelerometer measures at rest, by the name of its unit if that is not m/s^2.
+GRAVITY_UNITS = {STANDARD_GRAVITY: "", 1.0: "g", 1000.0: "milli-g", 100 * STANDARD_GRAVITY: "cm/s^2"}
 #: Slowest rate that can follow a walk, Hz.
 RATE_MIN = 45.0
 #: Longest interval between samples that is interpolated, in usual intervals and in seconds.
@@ -184,8 +186,9 @@ def _in_si(accel: Array, step: float, remarks: list[str]) -> Array:
     n = max(1, min(len(accel), round(1 / step)))
     seconds = accel[: len(accel) // n * n].reshape(-1, n, 3).mean(axis=1)
     size, mean = (float(np.median(np.linalg.norm(v, axis=1))) for v in (accel, seconds))
-    for unit, name in ((STANDARD_GRAVITY, ""), (1.0, "g"), (1000.0, "milli-g")):
-        if not any(0.75 * unit < s < 1.3 * unit for s in ((size, mean) if mean > 0.6 * size else (size,))):
+    at_rest = (size, mean) if mean > 0.6 * size else (size,)
+    for unit, name in sorted(GRAVITY_UNITS.items(), key=lambda each: abs(np.log(each[0] / max(mean, 1e-12)))):
+        if not any(0.75 * unit < s < 1.3 * unit for s in at_rest):
             continue
         if name:
             taken = f"it is taken to be in {name}, not m/s^2"

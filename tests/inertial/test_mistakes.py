@@ -43,12 +43,14 @@ def _rotated(imu: Imu, M: np.ndarray) -> Imu:
 
 MISTAKES: dict[str, tuple[Callable[[Imu], Imu], str]] = {
     "degrees": (lambda i: replace(i, gyro=np.degrees(i.gyro)), "degrees/s"),
+    "turns per minute": (lambda i: replace(i, gyro=i.gyro * 30 / np.pi), "9.5[0-9] times too large"),
     "inverse": (lambda i: replace(i, T_body_cam=invert_pose(i.T_body_cam)), "inverse"),
     "exchanged axes": (lambda i: _rotated(i, np.eye(3)[[1, 0, 2]]), "left-handed"),
     "turned axes": (lambda i: _rotated(i, np.eye(3)[[1, 2, 0]]), "axes seem to be"),
     "no mounting": (lambda i: replace(i, T_body_cam=None), "mounting is off by"),
     "gravity's sign": (lambda i: replace(i, accel=-i.accel), "wrong sign"),
     "accelerometer's axes": (lambda i: replace(i, accel=i.accel @ np.eye(3)[[1, 2, 0]]), "contradicts"),
+    "accelerometer's gain": (lambda i: replace(i, accel=1.1 * i.accel), "measure (9|10|11)% too much"),
     "without gravity": (
         lambda i: replace(i, accel=i.accel - i.accel.mean(axis=0)),
         "gravity seems to have been taken out",
@@ -93,10 +95,26 @@ def test_levelled_video_is_told_from_the_imu() -> None:
         initialised(recording().imu, replace(visual, T_wc=T))
 
 
-def test_forces_in_g_are_mended_and_said() -> None:
-    imu = replace(recording().imu, accel=recording().imu.accel / 9.80665)
-    assert any("in g" in remark for remark in usable_samples(imu, recording().times).remarks)
+@pytest.mark.parametrize(("unit", "factor"), [("g", 1 / 9.80665), ("milli-g", 1000 / 9.80665), ("cm/s^2", 100.0)])
+def test_forces_in_other_units_are_mended_and_said(unit: str, factor: float) -> None:
+    imu = replace(recording().imu, accel=recording().imu.accel * factor)
+    assert any(f"in {unit}," in remark for remark in usable_samples(imu, recording().times).remarks)
     assert initialised(imu).scale * 0.37 == pytest.approx(1, abs=0.02)
+
+
+def test_gaps_every_three_seconds_leave_enough_to_tell_the_scale() -> None:
+    imu = recording().imu
+    kept = imu.times % 3 > 0.3
+    cut = replace(imu, times=imu.times[kept], gyro=imu.gyro[kept], accel=imu.accel[kept])
+    assert initialised(cut).scale * 0.37 == pytest.approx(1, abs=0.02)
+
+
+def test_the_gyroscopes_gain_is_told() -> None:
+    imu, visual = recording().imu, seen(recording())
+    samples = usable_samples(replace(imu, gyro=1.04 * imu.gyro), visual.times)
+    found = fit_rotation(visual, samples)
+    assert 1.01 < found.gain < 1.045
+    assert fit_rotation(visual, usable_samples(imu)).gain == pytest.approx(1.0, abs=0.002)
 
 
 def test_the_sway_of_a_fast_walk_is_not_taken_for_another_unit() -> None:
