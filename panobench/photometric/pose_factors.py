@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import spsolve
 
@@ -102,10 +102,14 @@ def _step(unit: Array, parts: list[_Part], b: Array, free: NDArray[np.int64]) ->
 
     unit: the prior's diagonal. b: the right-hand side, of the free unknowns alone.
     """
-    H = np.diag(unit)
+    place = np.full(len(unit), -1)
+    place[free] = np.arange(len(free))
+    H = np.diag(unit[free])
     for cells, A in parts:
-        H[cells[:, None], cells] += A
-    return _solved(H[free[:, None], free], b)
+        moves = place[cells] >= 0
+        at = place[cells[moves]]
+        H[at[:, None], at] += A[np.ix_(moves, moves)]
+    return _solved(H, b)
 
 
 def _step_sparse(unit: Array, parts: list[_Part], b: Array, free: NDArray[np.int64]) -> Array | None:
@@ -133,7 +137,8 @@ def _solved(H: Array, b: Array) -> Array | None:
     for damping in DAMPING:
         try:
             damped = H + damping * np.diag(np.abs(np.diag(H)))
-            return np.asarray(solve(damped, b, assume_a="pos", overwrite_a=True, check_finite=False))
+            factor = cho_factor(damped, overwrite_a=True, check_finite=False)
+            return np.asarray(cho_solve(factor, b, check_finite=False))
         except LinAlgError:
             continue
     return None
