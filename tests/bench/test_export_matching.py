@@ -13,7 +13,7 @@ from panobench.bench.export import patchmatch
 from panobench.bench.export.confirmation import confirmed
 from panobench.bench.export.frame_depth import depths_by_frames
 from panobench.bench.export.fusion import fuse
-from panobench.bench.export.plane_matching import COARSE, FINE, SIGMA, TRUNCATION, PlaneField, matched_depth
+from panobench.bench.export.plane_matching import COARSE, FINE, SIGMA, TRUNCATION, PlaneField, matched_depth, pyramid_of
 from panobench.bench.export.posed_panoramas import PosedPanoramas
 from panobench.cameras.erp import ErpCamera
 from panobench.geometry import invert_pose
@@ -159,7 +159,8 @@ def test_an_odd_size_is_matched_at_once(bulging: PosedPanoramas) -> None:
         scale=WorkingScale.of(ErpCamera(126, 63), 126),  # the size alone counts here
     )
     assert odd.halved() is None
-    assert np.isfinite(matched_depth(odd, None, 3, odd.scale.rays)).all()
+    assert len(pyramid_of(odd)) == 1
+    assert np.isfinite(matched_depth(pyramid_of(odd), 3, odd.scale.rays)).all()
 
 
 def test_only_what_others_see_too_is_confirmed(truth: PosedPanoramas) -> None:

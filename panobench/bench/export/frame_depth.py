@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from panobench.bench.export.confirmation import confirmed
 from panobench.bench.export.plane_alignment import align
-from panobench.bench.export.plane_matching import far_others, matched_depth
+from panobench.bench.export.plane_matching import far_others, matched_depth, pyramid_of
 from panobench.bench.export.plane_pieces import solid_pieces
 from panobench.bench.export.plane_preference import preferred
 from panobench.bench.export.planes import Plane, find_planes
@@ -33,10 +33,8 @@ def depths_by_frames(views: PosedPanoramas, depths: Float, seed: int = 0) -> Flo
     """
     height, width = depths.shape[1:]
     rays = ErpCamera(width, height).rays().astype(np.float32)
-    coarse = views.halved()
-    made = np.stack(
-        [matched_depth(views, coarse, k, rays) if far_others(views, k) else d for k, d in enumerate(depths)]
-    )
+    levels = pyramid_of(views)
+    made = np.stack([matched_depth(levels, k, rays) if far_others(views, k) else d for k, d in enumerate(depths)])
     tolerance = TOLERANCE * 2 * math.pi / views.scale.camera.width
     sure = confirmed(made, views.T_wc, rays, tolerance)
     flat = _on_planes(views, made, sure, rays, np.random.default_rng(seed))

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float32]
 
-#: Panoramas rendered, and their width.
-VIEWS, WIDTH = 32, 1024
+#: Panoramas rendered, and their width. Frames are read up to that width, or to ``WIDEST`` where it is asked for.
+VIEWS, WIDTH, WIDEST = 32, 1024, 2048
 #: Voxels along the longest side unless their size is given, and most of them in all.
 SIDE, MOST = 256, 80_000_000
 #: The distance is cut at so many voxels; it must reach over the noise of the depths.
@@ -72,7 +72,8 @@ def _by_frames(run: Run, chosen: NDArray[np.int64], depths: Float, width: int | 
     every = shots_of(run, ExportOptions())
     shots = [every[k] for k in chosen]
     T_wc = np.stack([shot.T_wc for shot in shots])
-    views = posed_panoramas(frames_of(run, width), [shot.frame for shot in shots], T_wc, depths, WIDTH)
+    widest = min(max(width or 0, WIDTH), WIDEST)
+    views = posed_panoramas(frames_of(run, width), [shot.frame for shot in shots], T_wc, depths, widest)
     return depths_by_frames(views, depths)
 
 

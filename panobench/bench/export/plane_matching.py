@@ -1,4 +1,4 @@
-"""Depth of each panorama of a path by the others: PatchMatch at half the size, then at the whole.
+"""Depth of each panorama of a path by the others: PatchMatch from a small size to the whole.
 
 It starts at the depth at hand. Views far apart are compared, because the depth of a wall is known no better than their
 parallax allows.
@@ -34,6 +34,8 @@ TRUNCATION, SIGMA = 0.03, 0.1
 SAVED, SAME = 3e-5, 1e-3
 #: Of the filter at the end (``planar_filter``): pixels around each, differences of luma (of 1) and of log depth.
 RADIUS, SMOOTH_LUMA, SMOOTH_DEPTH, FLOOR = 6, 0.03, 0.008, 0.01
+#: Views wider than this are matched at half their size first, and these as well.
+SMALLEST = 512
 #: Depths tried, over the median depth.
 LIMITS = (0.05, 20.0)
 
@@ -116,25 +118,34 @@ class PlaneField:
         return np.where(np.isfinite(depth) & (depth > 0), depth, np.nan).astype(np.float32)
 
 
-def matched_depth(views: PosedPanoramas, coarse: PosedPanoramas | None, k: int, rays: Float, seed: int = 0) -> Float:
+def matched_depth(levels: list[PosedPanoramas], k: int, rays: Float, seed: int = 0) -> Float:
     """Radial depth (h, w) of view ``k`` along the unit rays (h, w, 3) of a panorama, NaN where no frame says anything.
 
-    It begins at the depth of ``views``. coarse: the views at half the size, if they have one.
+    It begins at the depth of the views. levels: of ``pyramid_of``.
     """
-    others = far_others(views, k)
-    field = PlaneField(views, k, others, seed)
-    if coarse is not None:
-        small = PlaneField(coarse, k, others, seed)
-        small.offer(coarse.scale.rays / coarse.depth[k][..., None])
-        small.offer_depth(coarse.depth[k])
-        small.improve(COARSE)
-        field.offer(small.planes.repeat(2, axis=0).repeat(2, axis=1))
-    else:
-        field.offer(views.scale.rays / views.depth[k][..., None])
-    field.offer_depth(views.depth[k])
-    field.improve(FINE if coarse is not None else (*COARSE, *FINE))
+    others = far_others(levels[-1], k)
+    field: PlaneField | None = None
+    for views in levels:
+        coarser, field = field, PlaneField(views, k, others, seed)
+        if coarser is None:
+            field.offer(views.scale.rays / views.depth[k][..., None])
+        else:
+            field.offer(coarser.planes.repeat(2, axis=0).repeat(2, axis=1))
+        field.offer_depth(views.depth[k])
+        field.improve(COARSE if coarser is None else FINE)
+    assert field is not None
+    if len(levels) == 1:
+        field.improve(FINE)
     field.smooth()
     return field.depth(rays)
+
+
+def pyramid_of(views: PosedPanoramas) -> list[PosedPanoramas]:
+    """The views at the sizes at which they are matched, the smallest first: at least two, if they can be halved."""
+    levels = [views]
+    while (len(levels) == 1 or levels[0].luma.shape[2] > SMALLEST) and (half := levels[0].halved()) is not None:
+        levels.insert(0, half)
+    return levels
 
 
 def far_others(views: PosedPanoramas, k: int) -> list[int]:

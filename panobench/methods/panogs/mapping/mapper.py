@@ -142,13 +142,12 @@ class Mapper:
     def _set_window(self, window: list[View]) -> None:
         for old in self.window:
             if old not in window:
-                old.seen = None
                 self.remember(old)
         self.optimiser.window = window
 
     def remember(self, view: View) -> None:
         """Keep a frame for training. Beyond ``frame_pool`` a random one loses its image, which bounds the memory."""
-        frames = self.trajectory.frames
+        frames, view.seen = self.trajectory.frames, None  # only those in the window are asked for co-visibility
         frames.append(view)
         if len(frames) > self.config.mapping.frame_pool:
             self.optimiser.forget_image(frames.pop(int(self.rng.integers(len(frames)))))
