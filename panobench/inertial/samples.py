@@ -30,6 +30,8 @@ GYRO_RANGE, ACCEL_RANGE = 1.5, 1.8 * STANDARD_GRAVITY
 CUT_LEAST, CUT_TIMES = 30, 10
 #: Share of the frames' time that samples have to cover, and share below which it is said.
 COVERED_MIN, COVERED_ALL = 0.5, 0.95
+#: A sample that is so many deviations and at least so much (rad/s, m/s^2) off the mean of its neighbours is a spike.
+SPIKE_SIGMAS, GYRO_SPIKE, ACCEL_SPIKE = 40.0, 5.0, 3 * STANDARD_GRAVITY
 #: Share of saturated samples from which the samples are not used.
 SATURATED_MAX = 0.02
 #: White noise is taken for at least this: rad/s/sqrt(Hz) and m/s^2/sqrt(Hz).
@@ -122,6 +124,10 @@ def usable_samples(imu: Imu, frame_times: Array | None = None) -> Samples:
     if frame_times is not None:
         _check_overlap(times, frame_times, remarks)
     accel = _in_si(accel, step, remarks)
+    spikes = _spikes(gyro, GYRO_SPIKE) | _spikes(accel, ACCEL_SPIKE)
+    if spikes.any():
+        remarks.append(f"{int(spikes.sum())} samples of the IMU are spikes and left out")
+        times, gyro, accel = times[~spikes], gyro[~spikes], accel[~spikes]
     saturated = _saturated(gyro, GYRO_RANGE) | _saturated(accel, ACCEL_RANGE)
     if saturated.mean() > SATURATED_MAX:
         raise InertialError(f"{saturated.mean():.0%} of the IMU's samples are saturated")
@@ -196,6 +202,15 @@ def _in_si(accel: Array, step: float, remarks: list[str]) -> Array:
         return accel * (STANDARD_GRAVITY / unit) if name else accel
     hint = "; gravity seems to have been taken out of it" if size < 0.6 * STANDARD_GRAVITY else ""
     raise InertialError(f"the accelerometer measures {size:.3g} at rest, neither 9.8 m/s^2 nor 1 g{hint}")
+
+
+def _spikes(values: Array, least: float) -> NDArray[np.bool_]:
+    """(N,) single samples of (N, 3) that are far off both neighbours."""
+    out = np.zeros(len(values), bool)
+    apart = np.pad(np.linalg.norm(values[1:-1] - (values[:-2] + values[2:]) / 2, axis=1), 1)
+    largest = (apart[1:-1] >= apart[:-2]) & (apart[1:-1] >= apart[2:])
+    out[1:-1] = largest & (apart[1:-1] > max(least, SPIKE_SIGMAS * float(np.median(apart)) / 0.6745))
+    return out
 
 
 def _cut_off(size: Array) -> bool:

@@ -109,6 +109,16 @@ def test_gaps_every_three_seconds_leave_enough_to_tell_the_scale() -> None:
     assert initialised(cut).scale * 0.37 == pytest.approx(1, abs=0.02)
 
 
+def test_spikes_are_left_out_and_said() -> None:
+    imu = recording().imu
+    accel = imu.accel.copy()
+    accel[50::400] += [150.0, -80.0, 60.0]
+    spiky = replace(imu, accel=accel)
+    count = len(accel[50::400])
+    assert f"{count} samples of the IMU are spikes and left out" in usable_samples(spiky, recording().times).remarks
+    assert initialised(spiky).scale * 0.37 == pytest.approx(1, abs=0.02)
+
+
 def test_the_gyroscopes_gain_is_told() -> None:
     imu, visual = recording().imu, seen(recording())
     samples = usable_samples(replace(imu, gyro=1.04 * imu.gyro), visual.times)
