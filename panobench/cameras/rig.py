@@ -20,6 +20,9 @@ from panobench.reading import number_array
 
 Array = NDArray[np.float64]
 
+#: Centres of lenses that are further apart were given in another unit, m.
+BASELINE_MOST_M = 5.0
+
 
 @dataclass(frozen=True)
 class RigLens:
@@ -42,7 +45,7 @@ class RigLens:
 
 @dataclass(frozen=True)
 class Rig:
-    """The lenses, at least one. Raises CalibrationError for poses that are not rigid."""
+    """The lenses, at least one. Raises CalibrationError for poses that are not rigid, or not in metres."""
 
     lenses: tuple[RigLens, ...]
 
@@ -54,6 +57,8 @@ class Rig:
             rigid = T.shape == (4, 4) and np.isfinite(T).all() and np.allclose(T[3], [0, 0, 0, 1])
             if not rigid or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or _mirrored(T):
                 raise CalibrationError(f"lens {k}: T_rig_lens is not a rigid 4x4 matrix")
+        if self.baseline_m > BASELINE_MOST_M:
+            raise CalibrationError(f"lens centres are {self.baseline_m:.3g} m apart: their poses have to be in metres")
 
     def __len__(self) -> int:
         return len(self.lenses)

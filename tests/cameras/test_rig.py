@@ -47,6 +47,12 @@ def test_poses_that_are_not_rigid() -> None:
             Rig.from_dict(values)
 
 
+def test_centres_in_millimetres_are_refused() -> None:
+    apart = [(lens, np.vstack([lens.T_rig_lens[:3] * [1, 1, 1, 1000], [0, 0, 0, 1]])) for lens in two_lenses().lenses]
+    with pytest.raises(CalibrationError, match="41 m apart"):
+        Rig(tuple(RigLens(lens.camera, T) for lens, T in apart))
+
+
 def test_rows_are_read_around_the_frames_time() -> None:
     lens = two_lenses(96).lenses[0]
     assert lens.row_times() is None
