@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import cv2
@@ -29,6 +30,7 @@ from panobench.masks.panorama import Panorama
 from panobench.masks.region import grown, hidden_region, to_camera
 from panobench.masks.turning import Followed, follow_carrier, interpolated
 from panobench.methods.sparse.faces import FaceSet, build_faces
+from panobench.photometric.bands import WINDOW, BandRemover, find_bands, log_row_gains, small_luma
 
 Array = NDArray[np.float64]
 
@@ -38,8 +40,8 @@ WIDTH, FACE_PIXELS = 256, 120_000
 FRAMES_PER_PAIR, FEWEST_PAIRS, MOST_PAIRS = 15, 10, 12
 #: Pixels of the panorama along the border of the view where nothing is compared: half the windows of the comparison.
 BORDER = 8
-#: Less than this share of the view is noise, more is a mistake.
-LEAST, MOST = 0.003, 0.7
+#: Less than this share of the view is noise, more is a mistake; more still where pairs show a scene behind a carrier.
+LEAST, MOST, MOST_BEHIND = 0.003, 0.7, 0.85
 #: Fewer pairs with motion than these say nothing.
 ENOUGH = 2
 #: Frames on which a carrier is followed, at most, and seconds between two of them: at first, and if it is lost then.
@@ -80,7 +82,7 @@ class GeometryMask(MaskEstimator):
         region = hidden_region(panorama, *summed(votes))
         hidden = to_camera(panorama, region, camera.rays())
         share = view_share(camera.with_mask(None).solid_angle(), hidden)
-        if share > MOST:
+        if share > (MOST_BEHIND if all(p.behind for p in pairs) else MOST):
             message = f"{share:.0%} of the view does not move as a rigid scene: nothing was hidden"
             details[NOT_RIGID] = round(share, 4)
             return MaskEstimate(everything, ok=False, message=message, details=details)
@@ -170,17 +172,21 @@ class _Frames:
         self._faces: dict[int, Faces] = {}
         self._small: dict[int, Small] = {}
         self._panoramas: dict[int, NDArray[np.uint8]] = {}
+        self._remover = self._remover_at(0)
+        self._flickers = self._remover is not None
 
     def pairs(self, rng: np.random.Generator) -> list[Pair]:
         count = len(self.sequence)
         wanted = int(np.clip(count // FRAMES_PER_PAIR, FEWEST_PAIRS, MOST_PAIRS))
         found = []
         for first in np.unique(np.linspace(0, max(0, count - 8), wanted).astype(int)):
+            self._remover = self._remover_at(int(first)) if self._flickers else None
             pair = find_pair(self._face_set, self._look, int(first), count, rng)
             self._faces.clear()
             if pair is not None:
                 found.append(pair)
-        return found
+        behind = [p for p in found if p.behind]  # the others may show how a carrier turns that is most of the view
+        return behind if len(behind) >= 0.5 * len(found) else found
 
     def votes(self, pairs: list[Pair]) -> list[Votes]:
         """Of each pair, both ways."""
@@ -238,9 +244,21 @@ class _Frames:
     def _look(self, index: int) -> Faces:
         if index not in self._faces:
             image = self.sequence.image(index)
+            if self._remover is not None:
+                image = self._remover.steady(image, float(self.sequence.times[index]))
             self._faces[index] = self._face_set.pyramid(image, 1)[0]
             self._panoramas[index] = self._reprojector.image(image)
         return self._faces[index]
+
+    def _remover_at(self, first: int) -> BandRemover | None:
+        """Of bands of flickering light in the frames from ``first`` on, under which corners are not found again."""
+        begin = max(0, min(first, len(self.sequence) - WINDOW - 1))
+        frames = range(begin, min(begin + WINDOW + 1, len(self.sequence)))
+        lumas = [small_luma(self.sequence.image(i)) for i in frames]
+        gains = [log_row_gains(a, b) for a, b in pairwise(lumas)]
+        times = [float(self.sequence.times[i]) for i in frames]
+        bands = find_bands(gains, times) if len(gains) == WINDOW else None
+        return BandRemover(bands, times[0]) if bands is not None and bands.evident else None
 
     def _small_of(self, index: int) -> Small:
         if index not in self._small:

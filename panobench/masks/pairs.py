@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -30,6 +30,9 @@ TURNED = 1.5
 MOST_FRAMES = 24
 #: Corners within this of the motion found belong to the rigid scene, in face pixels.
 INLIER_PX = 1.0
+#: Where most corners turn as one, the others are a scene behind a carrier if they lie all around (their mean direction
+#: is shorter than this) and so many of them have one motion.
+ALL_AROUND, OF_OTHERS = 0.85, 0.6
 RANSAC_CORNERS, RANSAC_TRIALS = 200, 80
 _LK: dict[str, Any] = {"winSize": (13, 13), "maxLevel": 3, "criteria": (3, 20, 0.02), "minEigThreshold": 1e-4}
 
@@ -39,7 +42,8 @@ class Pair:
     """Frames ``first`` and ``second`` and x2 ~ R x1 + t, |t| = 1, or t = 0 for a rotation alone.
 
     bearings (N, 3): corners of the scene in the first camera; inverse (N,): their inverse depths there, in units of
-    the baseline. moved (N,): angle between a corner's directions in the two pictures, radians.
+    the baseline. moved (N,): angle between a corner's directions in the two pictures, radians. behind: most corners
+    turn as one, and are left out: what carries the camera, with the scene behind it.
     """
 
     first: int
@@ -49,6 +53,7 @@ class Pair:
     bearings: Array
     inverse: Array
     moved: Array
+    behind: bool = False
 
     def reversed(self) -> Pair:
         """Seen from the second frame."""
@@ -62,6 +67,7 @@ class Pair:
             seen / length[:, None],
             self.inverse / length,
             self.moved,
+            self.behind,
         )
 
 
@@ -72,6 +78,27 @@ def find_pair(
 
     ``faces(i)`` are frame i's pictures (F, H, W) by ``face_set``; ``count`` is the number of frames.
     """
+    found = _find_pair(face_set, faces, first, count, rng)
+    if found is not None and _has_parallax(found, 0.5 * INLIER_PX / face_set.focal):
+        return found
+    # What carries the camera may be most of the view. It turns as one, and has no parallax.
+    return _find_pair(face_set, faces, first, count, np.random.default_rng(first), others=True) or found
+
+
+def _has_parallax(pair: Pair, least: float) -> bool:
+    return bool(pair.t.any()) and len(pair.inverse) > 0 and float(np.median(pair.inverse)) > least
+
+
+def _find_pair(
+    face_set: FaceSet,
+    faces: Callable[[int], Faces],
+    first: int,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    others: bool = False,
+) -> Pair | None:
+    """As ``find_pair``; others: only by corners that do not turn as most of them do, and with parallax alone."""
     before = faces(first)
     start = detect_corners(face_set, before, CORNERS, np.empty((0, 3)))
     if len(start) < FEWEST:
@@ -86,6 +113,11 @@ def find_pair(
         if len(alive) < max(FEWEST, 0.35 * len(start)):
             break
         a, b = start[alive], here[alive]
+        if others:
+            mine = behind_carrier(a, b, 1.5 * INLIER_PX / face_set.focal, rng)
+            if not mine.any():
+                continue
+            a, b = a[mine], b[mine]
         R, _ = robust_rotation(a, b, 3 * INLIER_PX / face_set.focal, rng)
         best = (index, a, b.copy(), R)
         parallax = float(np.degrees(np.median(_angles(a @ R.T, b))))
@@ -95,7 +127,22 @@ def find_pair(
     if best is None:
         return None
     index, a, b, R = best
-    return _motion(face_set, first, index, a, b, R, rng)
+    pair = _motion(face_set, first, index, a, b, R, rng)
+    if pair is None or not others:
+        return pair
+    one = len(pair.bearings) >= OF_OTHERS * len(a) and _has_parallax(pair, INLIER_PX / face_set.focal)
+    return replace(pair, behind=True) if one else None
+
+
+def behind_carrier(a: Array, b: Array, limit: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Which corners (N,), seen at a and then at b (N, 3), do not turn with most of them; limit in radians.
+
+    None of them if they are few, or do not lie all around.
+    """
+    _, near = robust_rotation(a, b, limit, rng)
+    others = ~near
+    enough = int(others.sum()) >= FEWEST and near.mean() > 0.5
+    return others if enough and np.linalg.norm(a[others].mean(axis=0)) < ALL_AROUND else np.zeros_like(others)
 
 
 def _motion(

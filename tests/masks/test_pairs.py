@@ -7,7 +7,7 @@ import pytest
 from mask_walks import walk
 
 from panobench.geometry import fibonacci_sphere, so3_exp, so3_log
-from panobench.masks.pairs import find_pair, refined, robust_rotation
+from panobench.masks.pairs import behind_carrier, find_pair, refined, robust_rotation
 from panobench.methods.sparse.faces import build_faces
 
 RNG = np.random.default_rng(3)
@@ -76,3 +76,23 @@ def test_nothing_is_found_without_motion() -> None:
     face_set = build_faces(sequence.camera, 120_000, 1)
     faces = face_set.pyramid(sequence.image(0), 1)[0]
     assert find_pair(face_set, lambda i: faces, 0, 30, np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.03])
+def test_a_scene_behind_a_carrier_that_fills_most_of_the_view(turn: float) -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(600, 3))
+    a = points / np.linalg.norm(points, axis=1, keepdims=True)
+    carrier = a @ so3_exp(np.array([0.0, turn, 0.0])).T
+    scene = points @ so3_exp(np.array([0.0, 0.1, 0.0])).T + [0.3, 0.0, 0.1]
+    scene /= np.linalg.norm(scene, axis=1, keepdims=True)
+
+    def behind(seen: np.ndarray) -> np.ndarray:
+        return behind_carrier(a, np.where(seen[:, None], scene, carrier), 0.01, np.random.default_rng(1))
+
+    up = a[:, 1] < -0.3  # a third of the sphere
+    found = behind(up)
+    assert found[up].mean() > 0.9
+    assert not found[~up].any()
+    assert not behind(a[:, 0] > 0.8).any()  # a person
+    assert not behind(np.zeros(len(a), dtype=bool)).any()

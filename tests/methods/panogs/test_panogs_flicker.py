@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from panobench.methods.panogs.tracking.bands import find_bands, log_row_gains
-from panobench.methods.panogs.tracking.flicker import AGAIN, WINDOW, Flicker
+from panobench.methods.panogs.tracking.flicker import AGAIN, Flicker
+from panobench.photometric.bands import WINDOW, find_bands, log_row_gains
 from panobench.types import Frame
 
 HEIGHT, WIDTH, FPS = 64, 128, 15.0

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.methods.panogs.config import ExposureOptions
-from panobench.methods.panogs.tracking.exposure import DARK, ENOUGH, RANGE, SATURATED, scaled, weighted_median
+from panobench.methods.panogs.tracking.exposure import ENOUGH, RANGE, scaled, weighted_median
+from panobench.photometric.bands import DARK, SATURATED
 from panobench.photometric.overlap import ViewWidth
 from panobench.photometric.pyramid import F32, luma_of_frame, pyramid
 from panobench.photometric.rotation_only import RotationOnlyAligner

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.methods.panogs.config import ExposureOptions
+from panobench.photometric.bands import DARK, SATURATED
 from panobench.photometric.overlap import ViewWidth
 from panobench.splat.gaussians import F32
 from panobench.splat.render import Render
 
 #: Blocks across the image; a block counts if it is known to the map and neither dark nor saturated.
 _BLOCKS = 32
-_KNOWN, DARK, SATURATED = 0.9, 0.06, 0.97
+_KNOWN = 0.9
 #: Fewest blocks that give a gain.
 ENOUGH = 24
 RANGE = (0.2, 5.0)
