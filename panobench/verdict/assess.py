@@ -41,17 +41,19 @@ def assess(
         for e, opinion in zip(asked.values(), opinions)
         if opinion is not None and opinion.trust > CONFIRMED
     ]
+    agreement = own.agreement(estimate)
+    agrees = agreement is not None and agreement.trust == 1.0
     found: list[Evidence | None] = [
         path.coverage(len(estimate.trajectory), given),
         path.steadiness(estimate.trajectory, agreeing),
         own.first_depth(estimate, confirmed=bool(agreeing)),
-        own.agreement(estimate),
+        agreement,
         own.reprojection(estimate),
         own.rigid_scene(not_rigid),
         steady_height(estimate),
         own.inertial(estimate),
         own.joined_maps(estimate),
-        own.map_pictures(metrics or {}, moving=estimate.extra.get("moving") is True),
+        own.map_pictures(metrics or {}, moving=estimate.extra.get("moving") is True, agrees=agrees),
     ]
     doubts_itself = any(e is not None and e.trust < TRUSTED for e in found)
     found += opinions

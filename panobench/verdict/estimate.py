@@ -16,6 +16,8 @@ FAILED_START, FAILED_START_CONFIRMED = 0.4, 0.8
 PSNR_GOOD, PSNR_BAD = 19.0, 13.0
 #: By so much less where the method has left out what moves, which is in the frames all the same.
 PSNR_MOVING = 4.0
+#: Trust does not fall lower for pictures where the map explains the frames but for their brightness.
+PSNR_LEAST_AGREEING = 0.6
 #: Trust in a path that the IMU contradicts: a wrong mounting is as likely as a wrong path.
 CONTRADICTED = 0.4
 #: Trust in a path whose parts were put together by looks alone.
@@ -43,13 +45,17 @@ def first_depth(estimate: Estimate, *, confirmed: bool = False) -> Evidence | No
     )
 
 
-def map_pictures(metrics: Mapping[str, float | None], *, moving: bool = False) -> Evidence | None:
-    """How well the map shows the frames: held-out ones if there are any. moving: what moves is not in the map."""
+def map_pictures(metrics: Mapping[str, float | None], *, moving: bool = False, agrees: bool = False) -> Evidence | None:
+    """How well the map shows the frames: held-out ones if there are any. moving: what moves is not in the map.
+
+    agrees: blocks of frames and map correlate, so that what is left is brightness: the exposure changes.
+    """
     less = PSNR_MOVING if moving else 0.0
     for key, what in (("holdout_psnr_db", "held-out frames"), ("pano_psnr_db", "its own frames")):
         value = metrics.get(key)
         if value is not None:
             trust = falling(value, PSNR_GOOD - less, PSNR_BAD - less)
+            trust = max(trust, PSNR_LEAST_AGREEING) if agrees else trust
             return Evidence("pictures", trust, f"the map shows {what} with {value:.1f} dB")
     return None
 

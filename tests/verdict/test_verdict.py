@@ -161,6 +161,13 @@ def test_what_moves_is_missing_in_the_maps_pictures() -> None:
     assert moving.word is Word.TRUSTED
 
 
+def test_pictures_that_differ_in_brightness_alone_are_a_small_doubt() -> None:
+    """As where a recording fades in: blocks correlate although the map is far darker."""
+    for share, word in ((0.9, Word.TRUSTED), (0.6, Word.FAILED)):
+        estimate = Estimate(walk(), frames={i: {"agreement": share} for i in range(0, 60, 5)})
+        assert assess(estimate, 60, {"pano_psnr_db": 10.0}).word is word
+
+
 def test_what_the_map_does_not_explain_counts() -> None:
     rows = {i: {"agreement": 0.3 if i % 3 == 0 else 0.9} for i in range(30)}
     assert assess(Estimate(walk(), frames=rows), 60).word is not Word.TRUSTED
