@@ -177,3 +177,19 @@ def test_it_keeps_the_contract_of_mask_estimators() -> None:
     checks = check_spec(registry().get(MaskSpec, "geometry"))
     assert [f"{c.name}: {c.message}" for c in checks if c.outcome == "fail"] == []
     assert {c.name for c in checks} >= {"answer", "determinism", "short"}
+
+
+def test_bands_of_flickering_light_are_taken_out_of_what_is_looked_at() -> None:
+    texture = np.random.default_rng(0).uniform(80, 160, (64, 128, 1)).repeat(3, axis=2)
+    waves = [1 + 0.2 * np.sin(2 * np.pi * (0.41 * k + 1.3 * np.arange(64) / 64)) for k in range(14)]
+    camera = ErpCamera(128, 64)
+    given = [
+        np.rint(np.roll(texture, k, axis=1) * wave[:, None, None]).astype(np.uint8) for k, wave in enumerate(waves)
+    ]
+    looked_at = _Frames(Frames(camera, given), camera)
+    remover = looked_at._remover_at(12)  # near the end, where fewer frames follow than it takes
+    assert remover is not None
+    off = remover.steady(given[12], 12 / 15) - np.roll(texture, 12, axis=1)
+    assert np.abs(off).mean() < 0.2 * np.abs(given[12] - np.roll(texture, 12, axis=1)).mean()
+    steady = [np.rint(np.roll(texture, k, axis=1)).astype(np.uint8) for k in range(14)]
+    assert _Frames(Frames(camera, steady), camera)._remover is None
