@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import make_pose, renormalise, so3_log
-from panobench.inertial.initialise import CORRELATION, DoubleIntegral, Initial, initialise
+from panobench.inertial.initialise import DoubleIntegral, Initial, initialise
 from panobench.inertial.rotation import RotationFit, fit_rotation
 from panobench.inertial.samples import InertialError, Samples
 from panobench.inertial.visual import VisualPoses
@@ -36,8 +36,6 @@ HEADING_S, GLIDE_S = 20.0, 3.0
 #: How well a turn by the gyroscope is known: at best, what is left of its bias, and of its scale and mounting; its
 #: noise and the clock's uncertainty come on top. Degrees, degrees/s, and a share of the turn.
 TURN_SIGMA_DEG, DRIFT_DEG_S, TURN_SHARE = 0.02, 0.02, 0.003
-#: Likewise an acceleration that is integrated to a position, m/s^2.
-FORCE_SIGMA = 0.02
 #: A camera looks at most so far from where it is expected to.
 HEADING_DEG = 5.0
 #: Fewest samples that a calibration looks at.
@@ -101,21 +99,6 @@ class Predictor:
             rotation.offset_sigma_s * fastest,
         )
         return float(np.linalg.norm(parts))
-
-    def place_sigma(self, time: float) -> float:
-        """Standard deviation per axis, in units of the map, of the position that ``expect`` says for ``time``.
-
-        Infinite while the accelerometer is of no use. It is that of a straight line through the last positions.
-        """
-        last = self.tracked[-1].time
-        since = time - last
-        recent = self._poses(last - VELOCITY_S).times - last
-        if self.initial is None or since > RECKON_S or len(recent) < 3:
-            return np.inf
-        basis, ahead = np.column_stack([np.ones_like(recent), recent]), np.array([1.0, since])
-        leverage = float(ahead @ np.linalg.inv(basis.T @ basis) @ ahead)
-        noise = CORRELATION * self.initial.noise_m * np.sqrt(leverage)
-        return float(np.hypot(noise, FORCE_SIGMA * since**2 / 2) / self.initial.scale)
 
     def heading(self, time: float) -> Array | None:
         """T_wc (4, 4) of a camera that has been lost for a while; None if nothing is known about it.

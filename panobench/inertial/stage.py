@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from panobench.errors import UnavailableError
 from panobench.inertial.fusion import Fusion, Unit, fuse
 from panobench.inertial.prediction import Predictor
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.inertial.samples import ContradictionError, InertialError, TooLittleMotionError, usable_samples
 from panobench.inertial.visual import VisualPoses
 from panobench.types import Imu
@@ -86,10 +87,10 @@ class InertialStage:
         self.seconds += time.perf_counter() - began
         return T_wc
 
-    def turn_sigma(self, time_s: float) -> float:
-        """Standard deviation per axis, rad, of the rotation that ``expect`` said for this time."""
+    def rotation_prior(self, T_wc: Array, time_s: float) -> RotationPrior:
+        """Of the rotation of ``T_wc`` (4, 4), which ``expect`` said for this time."""
         assert self.predictor is not None
-        return self.predictor.turn_sigma(time_s)
+        return RotationPrior(T_wc[:3, :3], self.predictor.turn_sigma(time_s))
 
     def heading(self, time_s: float) -> Array | None:
         """T_wc (4, 4) of a lost camera: which way it looks, and roughly where; None if nothing is known."""

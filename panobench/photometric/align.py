@@ -8,13 +8,14 @@ Levenberg-Marquardt's, and a step is kept only if it lowers the mean robust cost
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import renormalise, se3_exp
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.photometric.normal_equations import UNKNOWNS, UNSEEN, NormalEquations, normal_equations
 from panobench.photometric.pyramid import F32
 from panobench.photometric.reference import DEFAULT, AlignOptions, Reference, ReferenceLevel
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 MOVING_SHARE = 0.05
 #: Largest log gain either way: seven stops.
 GAIN_MOST = 5.0
+#: A rotation prior is weighed as if so many pixels with the residuals' deviation were worth one: neighbours share the
+#: errors of the reference.
+ALIKE_PIXELS = 100.0
 
 
 @dataclass
@@ -63,6 +67,24 @@ class _State:
         return _State(self.T @ se3_exp(-x[:6]), gain, offset)
 
 
+class _HeldRotation:
+    """A prior of the frame's rotation beside the residuals of one level, which deviate by ``sigma``."""
+
+    def __init__(self, prior: RotationPrior, level: ReferenceLevel, sigma: float) -> None:
+        self.prior, self.total = prior, max(level.total, 1e-12)
+        self.by_deviation = ALIKE_PIXELS * sigma**2 * self.total / max(len(level.value), 1)
+
+    def added_to(self, equations: NormalEquations, T_fr: NDArray[np.float64]) -> NormalEquations:
+        """The normal equations of both together at the pose ``T_fr`` (4, 4), frame from reference camera."""
+        R_rf = T_fr[:3, :3].T  # a step turns it on its left
+        information, gradient = self.prior.linearise(R_rf)
+        H, b = equations.H.copy(), equations.b.copy()
+        H[3:6, 3:6] += self.by_deviation * information * np.eye(3)
+        b[3:6] -= self.by_deviation * gradient
+        cost = equations.cost + 0.5 * self.by_deviation * self.prior.cost(R_rf) / self.total
+        return replace(equations, H=H, b=b, cost=cost)
+
+
 def align(
     reference: Reference,
     frame: list[F32],
@@ -74,15 +96,18 @@ def align(
     gain: float = 0.0,
     offset: float = 0.0,
     device: Device | None = None,
+    prior: RotationPrior | None = None,
 ) -> Alignment:
     """Align a frame to ``reference``.
 
     frame: its luma pyramid (H, W) float32 in 0..1, level 0 full size. T_fr (4, 4): pose to start from, frame from
     reference camera. Levels are used from ``coarsest`` (None: the smallest that both have) down to ``finest``. gain,
     offset: of the frame, to start from, or to keep without ``options.exposure``. device: what computes it, None for the
-    CPU, which also does what a device cannot: other cameras than panoramas, and ``options.exposure``.
+    CPU, which also does what a device cannot: other cameras than panoramas, ``options.exposure``, and ``prior``, of
+    the frame's axes in the reference camera's.
     """
-    if device is not None and reference.code == ERP and not options.exposure and min(options.iterations) > 0:
+    on_device = reference.code == ERP and not options.exposure and min(options.iterations) > 0 and prior is None
+    if device is not None and on_device:
         from panobench.photometric.align_device import align_on_device
 
         return align_on_device(
@@ -98,21 +123,28 @@ def align(
         level, image = reference.levels[level_index], frame[level_index]
 
         def evaluate(
-            s: _State, huber: float, cut: float, level: ReferenceLevel = level, image: F32 = image
+            s: _State,
+            huber: float,
+            cut: float,
+            held: _HeldRotation | None,
+            level: ReferenceLevel = level,
+            image: F32 = image,
         ) -> NormalEquations:
-            return normal_equations(
+            equations = normal_equations(
                 level, image, reference.code, s.T, s.gain, s.offset, huber, cut, exposure=options.exposure
             )
+            return equations if held is None else held.added_to(equations, s.T)
 
         limit = options.iterations[min(step, len(options.iterations) - 1)]
         damping = 1e-4
-        before = evaluate(state, 1.0, 10.0)
+        before = evaluate(state, 1.0, 10.0, None)
         huber = max(options.huber * before.sigma, options.huber_min)
         cut = options.cut * huber if level_index < options.cut_levels else 10.0
         moving = max(options.cut_moving * huber, options.cut_moving_min)
         if before.above(moving) > MOVING_SHARE:
             cut = min(cut, moving)
-        now = evaluate(state, huber, cut)
+        held = None if prior is None else _HeldRotation(prior, level, before.sigma)
+        now = evaluate(state, huber, cut, held)
         for _ in range(limit):
             if not np.isfinite(now.cost) or len(level.value) < 50:
                 break
@@ -125,7 +157,7 @@ def align(
             except np.linalg.LinAlgError:
                 break
             moved = state.moved(x)
-            trial = evaluate(moved, huber, cut)
+            trial = evaluate(moved, huber, cut, held)
             if trial.cost < now.cost and trial.seen > 0.5 * now.seen:
                 state, now = moved, trial
                 damping = max(damping * 0.2, 1e-7)

@@ -55,8 +55,6 @@ def test_a_blackout_is_bridged_in_the_maps_unit(gap_s: float) -> None:
     assert T is not None
     off = invert_pose(visual.T_wc[then]) @ T
     assert np.linalg.norm(off[:3, 3]) / SCALE < 0.005 + 0.015 * gap_s
-    sigma = found.place_sigma(float(recording.times[then]))
-    assert np.linalg.norm(off[:3, 3]) < 4 * sigma < 4 * SCALE * (0.005 + 0.03 * gap_s)
     assert np.degrees(np.linalg.norm(so3_log(off[:3, :3]))) < 0.3
     assert found.expect(float(recording.times[last]) + 30.0) is None
 

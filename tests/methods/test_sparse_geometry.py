@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from panobench.geometry import hat, se3_exp, so3_exp, so3_log
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.methods.sparse.absolute import p3p, pose_ransac
 from panobench.methods.sparse.bundle import bundle_adjust
 from panobench.methods.sparse.descriptors import describe, match
 from panobench.methods.sparse.mapping import ray_distance
-from panobench.methods.sparse.pose import RotationPrior, pose_errors, solve_pose
+from panobench.methods.sparse.pose import pose_errors, solve_pose
 from panobench.methods.sparse.posegraph import Similarities, optimise_pose_graph
 from panobench.methods.sparse.twoview import decompose, epipolar_angle, essential_ransac, five_point, triangulate
 

@@ -8,7 +8,8 @@ import pytest
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.datasets.synthetic.disturb import Disturbances, Disturber
-from panobench.geometry import invert_pose, se3_exp, se3_log
+from panobench.geometry import invert_pose, se3_exp, se3_log, so3_exp
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.photometric.align import align
 from panobench.photometric.pyramid import halve, luma_of_frame, pyramid
 from panobench.photometric.reference import DEFAULT, AlignOptions, make_reference, reject_moving
@@ -59,6 +60,27 @@ def test_recovers_a_known_motion(name: str, metres: float, degrees: float) -> No
     assert np.linalg.norm(error[:3]) < 1.5e-3
     assert np.rad2deg(np.linalg.norm(error[3:])) < 0.05
     assert np.linalg.eigvalsh(found.hessian).min() > 0
+
+
+def test_a_gyroscope_holds_the_rotation_where_depth_is_wrong_as_far_as_it_is_sure() -> None:
+    camera = CAMERAS["pinhole"]
+    T_fr = se3_exp(np.array([0.2, 0.0, 0.0, 0.0, np.deg2rad(3.0), 0.0]))
+    luma, depth = view(camera, np.eye(4))
+    levels = pyramid(view(camera, invert_pose(T_fr))[0], 64)
+
+    def turned(depth: np.ndarray, prior: RotationPrior | None) -> float:
+        """Degrees by which the alignment turns too far."""
+        found = align(make_reference(camera, luma, depth, len(levels)), levels, np.eye(4), prior=prior)
+        return float(np.rad2deg(np.linalg.norm(se3_log(found.T_fr @ invert_pose(T_fr))[3:])))
+
+    def gyroscope(off_deg: float, sigma_deg: float) -> RotationPrior:
+        R = T_fr[:3, :3].T @ so3_exp(np.deg2rad([0, off_deg, 0]))
+        return RotationPrior(R, np.deg2rad(sigma_deg))
+
+    leaning = (depth * (1 + 0.3 * camera.rays()[..., 0])).astype(np.float32)
+    assert turned(leaning, None) > 0.5
+    assert turned(leaning, gyroscope(0.02, 0.05)) < 0.2
+    assert turned(depth, gyroscope(2.0, 2.0)) < 0.2
 
 
 def test_exposure_is_separated_from_motion() -> None:

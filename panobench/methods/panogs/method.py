@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, make_pose
 from panobench.inertial.fusion import Unit
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.maps.saved import SavedMap
 from panobench.masks.frame_masks import FrameMasks
@@ -141,7 +142,10 @@ class PanogsMethod(OnlineMethod):
         began = time.perf_counter()
         gaussians = self.mapper.map.gaussians
         expected = self.inertial.expect(frame.time, lost=self.phase is Phase.LOST)
-        frame, tracked = self._track(frame, expected)
+        # A narrow view can trade a turn for a step aside; a wide one tells the two apart better than a gyroscope.
+        narrow = self.mapper.width is ViewWidth.NARROW
+        held = self.inertial.rotation_prior(expected, frame.time) if narrow and expected is not None else None
+        frame, tracked = self._track(frame, expected, held)
         trusted = self.relocaliser.judge(tracked, gaussians, self.trajectory.keyframes, expected)
         if trusted is None:
             self._enter(Phase.LOST)
@@ -166,10 +170,11 @@ class PanogsMethod(OnlineMethod):
         self.inertial.tracked(frame.index, frame.time)
         self._note(frame, mapping_s=time.perf_counter() - began - tracking_s)
 
-    def _track(self, frame: Frame, expected: Pose | None) -> tuple[Frame, Tracked]:
+    def _track(self, frame: Frame, expected: Pose | None, held: RotationPrior | None) -> tuple[Frame, Tracked]:
         """Align the frame to the map; the frame as a global shutter with one centre would have seen it.
 
-        expected (4, 4): by an IMU.
+        expected (4, 4): by an IMU, which is where the alignment begins. held: what it says of the rotation, if
+        the alignment is to be held by it.
         """
         gaussians, given, rate = self.mapper.map.gaussians, frame, self.shutter.predicted_rate(frame.index)
         if self.shutter.enabled:
@@ -180,7 +185,7 @@ class PanogsMethod(OnlineMethod):
             else:
                 self.tracker.expect(expected)
         before = self.tracker.T_last
-        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
+        tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask, held)
         if self.rectifier.enabled and before is not None:
             measured, velocity = self.shutter.measured(frame.index, frame.time, tracked.T_wc)
             travels = self.shutter.travels(velocity, self.mapper.local_depth(tracked.render))
@@ -190,7 +195,7 @@ class PanogsMethod(OnlineMethod):
                 self.late_rates.add(given.index, given.time, given.image, depth_map)
                 frame = replace(given, image=image, mask=self.seam.visible(depth_map, given.mask))
                 self.tracker.reset(before, invert_pose(before) @ tracked.T_wc)
-                tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask)
+                tracked = self.tracker.track(self.exposure.before(frame.image), gaussians, frame.mask, held)
         return frame, tracked
 
     def _at_map_exposure(self, frame: Frame, tracked: Tracked) -> Frame:

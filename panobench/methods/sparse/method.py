@@ -21,6 +21,7 @@ from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, make_pose, renormalise, so3_log
 from panobench.inertial.fusion import Unit
 from panobench.inertial.prediction import looks_elsewhere
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.inertial.stage import InertialStage, MetricPoses
 from panobench.methods.base import MethodContext, OnlineMethod
 from panobench.methods.ground import height_above_ground
@@ -38,8 +39,7 @@ from panobench.methods.sparse.mapping import (
     renew_templates,
 )
 from panobench.methods.sparse.pointmap import ACTIVE, FrameRecord, Keyframe, PointMap
-from panobench.methods.sparse.pose import RotationPrior
-from panobench.methods.sparse.refine import correct_shutter, refined_poses
+from panobench.methods.sparse.refine import adjust_exactly, correct_shutter, refined_poses
 from panobench.methods.sparse.relocalise import find_again
 from panobench.methods.sparse.rig_faces import RigFaces, build_rig_faces
 from panobench.methods.sparse.rotation import RotationFinder
@@ -191,9 +191,8 @@ class SparseMethod(OnlineMethod):
         wide one tells the two apart better than a gyroscope. Should no pose be found with it, none is held by it.
         """
         if expected is not None:
-            guess = invert_pose(expected)
-            held = RotationPrior(guess[:3, :3], self.inertial.turn_sigma(time_s)) if self.narrow else None
-            yield guess, held
+            held = self.inertial.rotation_prior(expected, time_s).inverse if self.narrow else None
+            yield invert_pose(expected), held
         if session.lost == 0:
             yield session.velocity @ session.T_cw, None
             yield make_pose(self.finder.rotation(), np.zeros(3)) @ session.T_cw, None
@@ -322,9 +321,11 @@ class SparseMethod(OnlineMethod):
         rig = None if self.rig_faces is None else self.context.rig
         readout_s = correct_shutter(session, self.camera, self.config, focal, self.context.log, rig)
         extra["readout_ms"] = round(1e3 * readout_s, 2)
+        if self.exact and self.config.final_ba > 0:
+            adjust_exactly(m, self.config, focal)
         by_lenses = self.face_set.lenses.several and self._judge_scale(m, extra)
         sigma = extra["scale_sigma_percent"] if by_lenses else None
-        poses = refined_poses(session, self.config, focal)
+        poses = refined_poses(session, self.config, focal, exact=self.exact)
         extra["points"] = int((m.state == ACTIVE).sum())
         metric = self._metric(session, poses, sessions, None if sigma is None else Unit(1.0, 0.01 * sigma))
         if self.inertial.enabled:
@@ -363,7 +364,7 @@ class SparseMethod(OnlineMethod):
         maps = [poses]
         for other in sorted((s for s in sessions if s is not session), key=lambda s: -len(s.records)):
             known = {index for found in maps for index in found}
-            refined = refined_poses(other, self.config, self.face_set.focal)
+            refined = refined_poses(other, self.config, self.face_set.focal, exact=self.exact)
             maps.append({index: T for index, T in refined.items() if index not in known})
         return self.inertial.finish(maps, unit)
 

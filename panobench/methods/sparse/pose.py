@@ -9,19 +9,16 @@ Levenberg-Marquardt with Huber weights and the left perturbation T_cw <- exp(xi)
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import renormalise, so3_log
+from panobench.geometry import renormalise
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.kernels.jit import njit
 from panobench.methods.sparse.patches import tangent_basis
 
 Array = NDArray[np.float64]
-
-#: From so many deviations on a prior of the rotation counts linearly: a gyroscope may be saturated, a mounting loose.
-PRIOR_SIGMAS = 3.0
 
 
 @njit(cache=True)
@@ -121,37 +118,6 @@ def all_errors(R, t, kf, pt, X, o, b, focal, out):  # type: ignore[no-untyped-de
         out[n] = math.sqrt(e0 * e0 + e1 * e1)
 
 
-@dataclass(frozen=True)
-class RotationPrior:
-    """What is known of a camera's rotation beside its measurements, by a gyroscope.
-
-    R_cw (3, 3): from the world to the camera. sigma: its standard deviation per axis, rad.
-    """
-
-    R_cw: Array
-    sigma: float
-
-    def residual(self, R: Array, noise_px: float) -> tuple[Array, float, float]:
-        """Residual (3,) of a rotation R (3, 3) in pixels, where a measurement deviates by ``noise_px``; its derivative
-        by a small turn on the left, which is this times the identity; and its weight, of Huber's loss.
-        """
-        by_angle = noise_px / self.sigma
-        e = by_angle * so3_log(R @ self.R_cw.T)
-        return e, by_angle, min(1.0, PRIOR_SIGMAS * noise_px / max(float(np.linalg.norm(e)), 1e-12))
-
-    def cost(self, R: Array, noise_px: float) -> float:
-        """Robust, in squared pixels."""
-        e, _, weight = self.residual(R, noise_px)
-        knee, size = PRIOR_SIGMAS * noise_px, float(np.linalg.norm(e))
-        return size * size if weight == 1.0 else 2 * knee * size - knee * knee
-
-    def add_to(self, R: Array, noise_px: float, H: Array, g: Array) -> None:
-        """Add to the normal equations H (6, 6) and g (6,) of a pose."""
-        e, by_angle, weight = self.residual(R, noise_px)
-        H[3:, 3:] += weight * by_angle**2 * np.eye(3)
-        g[3:] += weight * by_angle * e
-
-
 def solve_pose(
     T_cw: Array,
     points: Array,
@@ -164,8 +130,8 @@ def solve_pose(
 ) -> Array:
     """World-to-camera pose (4, 4) that fits points (N, 3) seen along bearings (N, 3) best; ``T_cw`` is the start.
 
-    origins (N, 3): where the bearings begin in the camera's axes; None: at its centre. prior: weighed as if bearings
-    deviated by ``huber`` pixels.
+    origins (N, 3): where the bearings begin in the camera's axes; None: at its centre. prior: of the rotation, weighed
+    as if bearings deviated by ``huber`` pixels.
     """
     if len(points) < 3:
         return T_cw
@@ -173,19 +139,21 @@ def solve_pose(
     R, t = T_cw[:3, :3].copy(), T_cw[:3, 3].copy()
     cost, damping = _pose_cost(R, t, X, o, b, focal, huber), 1e-4
     if prior is not None:
-        cost += prior.cost(R, huber)
+        cost += huber**2 * prior.cost(R)
     for _ in range(iterations):
         H, g = np.zeros((6, 6)), np.zeros(6)
         _pose_system(R, t, X, o, b, focal, huber, H, g)
         if prior is not None:
-            prior.add_to(R, huber, H, g)
+            information, gradient = prior.linearise(R)
+            H[3:, 3:] += huber**2 * information * np.eye(3)
+            g[3:] += huber**2 * gradient
         new = cost
         for _ in range(5):
             R2, t2 = R.copy(), t.copy()
             apply_increment(-np.linalg.solve(H + np.diag(damping * np.diag(H) + 1e-9), g), R2, t2)
             new = _pose_cost(R2, t2, X, o, b, focal, huber)
             if prior is not None:
-                new += prior.cost(R2, huber)
+                new += huber**2 * prior.cost(R2)
             if new < cost:
                 break
             damping *= 10
@@ -209,11 +177,24 @@ def deviation(errors: Array) -> float:
     return float(np.median(errors)) / 1.1774 if len(errors) else 0.0
 
 
+def errors_in_views(
+    T_cw: Array,
+    points: Array,
+    view: NDArray[np.int64],
+    point: NDArray[np.int64],
+    bearings: Array,
+    focal: float,
+    origins: Array | None = None,
+) -> Array:
+    """Lengths (N,) of the residuals in pixels: the camera at T_cw[view[n]] saw points[point[n]] along bearings[n]."""
+    out = np.empty(len(view))
+    R, t = np.ascontiguousarray(T_cw[:, :3, :3]), np.ascontiguousarray(T_cw[:, :3, 3])
+    X, b = np.ascontiguousarray(points), np.ascontiguousarray(bearings)
+    all_errors(R, t, view, point, X, origins_of(origins, len(view)), b, focal, out)
+    return out
+
+
 def pose_errors(T_cw: Array, points: Array, bearings: Array, focal: float, origins: Array | None = None) -> Array:
     """Lengths (N,) of the residuals in pixels."""
-    o = origins_of(origins, len(points))
-    out = np.empty(len(points))
     zero, index = np.zeros(len(points), np.int64), np.arange(len(points))
-    R, t = np.ascontiguousarray(T_cw[None, :3, :3]), np.ascontiguousarray(T_cw[None, :3, 3])
-    all_errors(R, t, zero, index, np.ascontiguousarray(points), o, np.ascontiguousarray(bearings), focal, out)
-    return out
+    return errors_in_views(T_cw[None], points, zero, index, bearings, focal, origins)

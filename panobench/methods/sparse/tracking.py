@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.geometry import invert_pose
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.methods.sparse.config import SparseConfig
 from panobench.methods.sparse.faces import FaceSet
 from panobench.methods.sparse.lenses import Lenses
 from panobench.methods.sparse.patches import align_level
 from panobench.methods.sparse.pointmap import ACTIVE, CANDIDATE, DEAD, PointMap
-from panobench.methods.sparse.pose import RotationPrior, pose_errors, solve_pose
+from panobench.methods.sparse.pose import pose_errors, solve_pose
 
 Array = NDArray[np.float64]
 Pyramid = list[NDArray[np.uint8]]

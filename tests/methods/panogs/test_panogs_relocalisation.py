@@ -12,7 +12,8 @@ from panobench.cameras.base import Camera
 from panobench.cameras.erp import ErpCamera
 from panobench.cameras.pinhole import PinholeCamera
 from panobench.depth.simple import OracleDepth
-from panobench.geometry import make_pose, so3_exp
+from panobench.geometry import make_pose, so3_exp, so3_log
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.methods.base import MethodContext
 from panobench.methods.panogs.factor_graph.place_recognition import Places, yawed
 from panobench.methods.panogs.mapping.mapper import Mapper
@@ -133,6 +134,24 @@ def shown(images: list[np.ndarray], depth: np.ndarray, camera: Camera) -> Panogs
     for i, image in enumerate(images):
         method.track(Frame(i, i / 10, image, depth=depth if i == 0 else None))
     return method
+
+
+def test_a_gyroscope_holds_the_rotation_of_a_frame() -> None:
+    camera = PinholeCamera.from_fov(96, 100, 70)
+    sequence = TinySequence(camera, 3)
+    depth = sequence.depth(0)
+    assert depth is not None
+    method = shown([sequence.image(i) for i in range(2)], depth, camera)
+    tracker, gaussians, last = method.tracker, method.mapper.map.gaussians, method.trajectory[1]
+    said = last[:3, :3] @ so3_exp([0.0, np.deg2rad(1.5), 0.0])
+
+    def off(prior: RotationPrior | None) -> float:
+        tracker.restart(last)
+        found = tracker.track(sequence.image(1), gaussians, prior=prior).T_wc
+        return float(np.rad2deg(np.linalg.norm(so3_log(said.T @ found[:3, :3]))))
+
+    assert off(None) > 1.0
+    assert off(RotationPrior(said, 1e-5)) < 0.1
 
 
 def test_lost_frames_get_no_pose_and_the_camera_is_found_again() -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose, renormalise
+from panobench.inertial.rotation_prior import RotationPrior
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.trajectory import WorldMotion
 from panobench.methods.splatting.occlusion import OccludedMap
@@ -105,16 +106,20 @@ class Tracker:
         return pyramid(luma_of_frame(image, self.valid if visible is None else self.valid & visible))
 
     def track(
-        self, image: NDArray[np.uint8], gaussians: GaussianMap, visible: NDArray[np.bool_] | None = None
+        self,
+        image: NDArray[np.uint8],
+        gaussians: GaussianMap,
+        visible: NDArray[np.bool_] | None = None,
+        prior: RotationPrior | None = None,
     ) -> Tracked:
-        """Pose of ``image`` near the prediction."""
+        """Pose of ``image`` near the prediction. prior: of the rotation of T_wc, which solver adam leaves out."""
         start = self.predict()
         self.image, self.pyramid = image, self.frame_pyramid(image, visible)
         if self.options.solver == "adam":
             result = self._track_adam(image, gaussians, start)
         else:
             seen = self.pyramid if self.hidden is None else self._without_hidden(image, visible)
-            result = self.align_to_map(seen, gaussians, start, image)
+            result = self.align_to_map(seen, gaussians, start, image, prior)
         self.costs.append(result.cost)
         self.velocity = invert_pose(self.T_last) @ result.T_wc  # type: ignore[arg-type]
         self.T_last = result.T_wc
@@ -126,16 +131,20 @@ class Tracker:
         gaussians: GaussianMap,
         T_wc: NDArray[np.float64],
         image: NDArray[np.uint8] | None = None,
+        prior: RotationPrior | None = None,
     ) -> Tracked:
         """Gauss-Newton from ``T_wc``: the coarse levels against the last render, then a fresh render for the finest.
 
         Another render follows only if the frame turned out to be further than ``render_again_px`` from the last. image:
-        of the frame, which is not aligned to where it contradicts the map.
+        of the frame, which is not aligned to where it contradicts the map. prior: of the rotation of T_wc.
         """
         T, iterations = T_wc, 0
         if self.reference is not None:
             start = invert_pose(T) @ self.T_reference
-            a = align(self.reference, frame, start, self.coarse_options, finest=1, device=self.renderer.device)
+            held = None if prior is None else prior.seen_from(self.T_reference)
+            a = align(
+                self.reference, frame, start, self.coarse_options, finest=1, device=self.renderer.device, prior=held
+            )
             T = renormalise(self.T_reference @ invert_pose(a.T_fr))
             iterations += a.iterations
         for k in range(max(self.options.renders, 1)):
@@ -143,7 +152,10 @@ class Tracker:
             render = self._draw(gaussians, T)
             self.reference, self.T_reference = self.make_reference(render, len(frame), image), T
             coarsest, device = 1 if known else None, self.renderer.device
-            a = align(self.reference, frame, np.eye(4), self.align_options, coarsest=coarsest, device=device)
+            held = None if prior is None else prior.seen_from(T)
+            a = align(
+                self.reference, frame, np.eye(4), self.align_options, coarsest=coarsest, device=device, prior=held
+            )
             T = renormalise(T @ invert_pose(a.T_fr))
             iterations += a.iterations
             if self.moved_px(a.T_fr, render) < self.options.render_again_px:
