@@ -163,6 +163,13 @@ def test_an_odd_size_is_matched_at_once(bulging: PosedPanoramas) -> None:
     assert np.isfinite(matched_depth(pyramid_of(odd), 3, odd.scale.rays)).all()
 
 
+@pytest.mark.parametrize(("width", "widths"), [(256, [128, 256]), (1024, [512, 1024]), (2048, [512, 1024, 2048])])
+def test_large_views_are_matched_at_small_sizes_first(width: int, widths: list[int]) -> None:
+    still = np.zeros((1, width // 2, width), np.float32)
+    views = PosedPanoramas(still, still, np.eye(4)[None], WorkingScale.of(ErpCamera(width, width // 2), width))
+    assert [level.luma.shape[2] for level in pyramid_of(views)] == widths
+
+
 def test_only_what_others_see_too_is_confirmed(truth: PosedPanoramas) -> None:
     rays = truth.scale.rays
     depths = truth.depth.copy()
