@@ -128,19 +128,6 @@ def _forward_span_of(count: bool) -> Callable[..., None]:
 _forward_span, _forward_span_counted = _forward_span_of(False), _forward_span_of(True)
 
 
-@njit(**JIT)
-def _open_rows(buf, stop, first, end, width):  # type: ignore[no-untyped-def]
-    """The rows first .. end - 1 of a tile without those at either end through which no more light passes."""
-    low, high = end, first
-    for y in range(first, end):
-        top = _F0
-        for x in range(width):
-            top = max(top, buf[3 * _N + y * TILE_W + x])
-        if top >= stop:
-            low, high = min(low, y), y + 1
-    return low, high
-
-
 @njit(**PARALLEL)
 def blend_forward(  # type: ignore[no-untyped-def]
     footprints, starts, entries, spans, rays, wrap, stop, tiles, threads, colour, depth, opacity, done, touched, weights
@@ -149,7 +136,7 @@ def blend_forward(  # type: ignore[no-untyped-def]
 
     footprints (M, FOOTPRINT_COLUMNS) float32: in order of depth. starts (tiles + 1,), entries (E,), spans (E, 2): as
     from ``bin_tiles``. rays (3, H, W): the view's. wrap: width of a panorama whose columns repeat, else 0. stop: a
-    row of a tile is finished when no pixel's transmittance exceeds this. tiles (K,) int32: the tiles to draw.
+    tile is finished when no pixel's transmittance exceeds this. tiles (K,) int32: the tiles to draw.
 
     Writes colour (3, H, W), depth (H, W) = sum of w dist, opacity (H, W) = sum of w, and done (tiles,), the number of
     entries used. Where these have M columns, and not none, it adds to touched (threads, M) int32 the pixels that a
@@ -169,24 +156,24 @@ def blend_forward(  # type: ignore[no-untyped-def]
                 buf[3 * _N + i] = _F1
             for i in range(4 * _N, 8 * _N):
                 buf[i] = _F0
-            used, first, end = 0, 0, y1 - y0
+            used = 0
             for e in range(starts[tile], starts[tile + 1]):
                 k = entries[e]
                 used += 1
-                r0, r1 = max(int(spans[e, 0]), first), min(int(spans[e, 0]) + int(spans[e, 1]), end)
-                if r1 <= r0:
-                    continue
                 p = footprints[k]
                 shift = _wrap_shift(p[F.u], x0, wrap)
                 p1z, p2z = p[F.p1[2]] - p[F.p1[0]] * shift, p[F.p2[2]] - p[F.p2[0]] * shift
-                lo, n = np.uint64(r0 * TILE_W), np.uint64((r1 - r0) * TILE_W)
+                lo, n = np.uint64(spans[e, 0] * TILE_W), np.uint64(spans[e, 1] * TILE_W)
                 if count:
                     _forward_span_counted(p, p1z, p2z, buf, lo, n, touched, weights, th, k)
                 else:
                     _forward_span(p, p1z, p2z, buf, lo, n, touched, weights, th, k)
                 if used % 32 == 0:
-                    first, end = _open_rows(buf, stop, first, end, x1 - x0)
-                    if end <= first:
+                    top = _F0
+                    for y in range(y1 - y0):
+                        for x in range(x1 - x0):
+                            top = max(top, buf[3 * _N + y * TILE_W + x])
+                    if top < stop:
                         break
             done[tile] = used
             for y in range(y1 - y0):
@@ -272,7 +259,7 @@ _backward_span, _backward_span_deep = _backward_span_of(False), _backward_span_o
 
 @njit(**PARALLEL)
 def blend_backward(  # type: ignore[no-untyped-def]
-    footprints, order, starts, entries, spans, rays, wrap, stop, tiles, threads, colour, depth, opacity, done,
+    footprints, order, starts, entries, spans, rays, wrap, tiles, threads, colour, depth, opacity, done,
     d_colour, d_depth, d_opacity, moments,
 ):  # fmt: skip
     """Gradients, as sums over pixels for each Gaussian: footprint k is Gaussian order[k].
@@ -292,14 +279,14 @@ def blend_backward(  # type: ignore[no-untyped-def]
         for ti in range(th, len(tiles), threads):
             tile = tiles[ti]
             y0, x0 = (tile // tiles_x) * TILE_H, (tile % tiles_x) * TILE_W
-            y1, x1 = min(y0 + TILE_H, H), min(x0 + TILE_W, W)
+            y1 = min(y0 + TILE_H, H)
             _load_rays(rays, buf, y0, x0, H, W)
             for i in range(_N):
                 buf[3 * _N + i] = _F1
             for i in range(4 * _N, 10 * _N):
                 buf[i] = _F0
             for y in range(y1 - y0):
-                for x in range(x1 - x0):
+                for x in range(min(TILE_W, W - x0)):
                     i, v, u = y * TILE_W + x, y0 + y, x0 + x
                     total = _F0
                     for c in range(3):
@@ -312,18 +299,12 @@ def blend_backward(  # type: ignore[no-untyped-def]
                         buf[8 * _N + i] = d_opacity[v, u]
                         total += d_opacity[v, u] * opacity[v, u]
                     buf[9 * _N + i] = total
-            first, end = 0, y1 - y0
             for e in range(starts[tile], starts[tile] + done[tile]):
-                if e > starts[tile] and (e - starts[tile]) % 32 == 0:
-                    first, end = _open_rows(buf, stop, first, end, x1 - x0)
-                r0, r1 = max(int(spans[e, 0]), first), min(int(spans[e, 0]) + int(spans[e, 1]), end)
-                if r1 <= r0:
-                    continue
                 k = entries[e]
                 p = footprints[k]
                 shift = _wrap_shift(p[F.u], x0, wrap)
                 p1z, p2z = p[F.p1[2]] - p[F.p1[0]] * shift, p[F.p2[2]] - p[F.p2[0]] * shift
-                lo, n = np.uint64(r0 * TILE_W), np.uint64((r1 - r0) * TILE_W)
+                lo, n = np.uint64(spans[e, 0] * TILE_W), np.uint64(spans[e, 1] * TILE_W)
                 if with_depth or with_opacity:
                     _backward_span_deep(p, p1z, p2z, buf, lo, n, moments, th, order[k])
                 else:

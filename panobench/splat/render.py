@@ -198,8 +198,8 @@ class Render:
         do = _NO_2D if d_opacity is None else np.ascontiguousarray(d_opacity, dtype=np.float32)
         sums = blend.new_moments(s.threads, len(tape.gaussians))
         blend.blend_backward(
-            tape.footprints, self.order, tape.starts, tape.entries, tape.spans, s.view.rays, s.wrap, s.stop,
-            s.view.tiles, s.threads, self.planes, self.depth, self.opacity, tape.done, dc, dd, do, sums,
+            tape.footprints, self.order, tape.starts, tape.entries, tape.spans, s.view.rays, s.wrap, s.view.tiles,
+            s.threads, self.planes, self.depth, self.opacity, tape.done, dc, dd, do, sums,
         )  # fmt: skip
         return Moments(sums, tape.gaussians, tape.R_cw, tape.t_cw, s.view, s.low_pass)
 
