@@ -22,7 +22,7 @@ Float = NDArray[np.float32]
 
 #: The planes of the scene are found and aligned at this width.
 PLANES_WIDTH = 512
-#: Depths agree that differ by less than so many pixels of the frames are wide.
+#: Depths agree that differ by less than so many pixels of the frames are wide, or of the depths where these are wider.
 TOLERANCE = 0.8
 
 
@@ -35,7 +35,7 @@ def depths_by_frames(views: PosedPanoramas, depths: Float, seed: int = 0) -> Flo
     rays = ErpCamera(width, height).rays().astype(np.float32)
     levels = pyramid_of(views)
     made = np.stack([matched_depth(levels, k, rays) if far_others(views, k) else d for k, d in enumerate(depths)])
-    tolerance = TOLERANCE * 2 * math.pi / views.scale.camera.width
+    tolerance = TOLERANCE * 2 * math.pi / min(views.scale.camera.width, width)
     sure = confirmed(made, views.T_wc, rays, tolerance)
     flat = _on_planes(views, made, sure, rays, np.random.default_rng(seed))
     stays = np.isfinite(sure) & (np.abs(flat / made - 1) < tolerance)
