@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import subprocess
@@ -139,7 +140,8 @@ def test_the_record_names_kernels_that_exist_and_whose_types_can_be_read() -> No
     found = ahead.entry_points()
     assert len(found) > 50
     assert [e.function for e in found if e.dispatcher() is None] == []
-    assert all(parse(e.arguments) for e in found)
+    taken = {e.function: len(inspect.signature(e.dispatcher().py_func).parameters) for e in found}
+    assert [e.function for e in found if len(parse(e.arguments)) != taken[e.function]] == []  # else record them anew
     assert ahead.entry_points("panogs", "erp", "rooms")
     assert set(ahead.entry_points("panogs", "erp")) <= set(ahead.entry_points("panogs", None))
     assert set(ahead.entry_points("panogs", "no-such-camera")) == set(ahead.entry_points("panogs", None))
