@@ -165,8 +165,9 @@ def _judge(turns: _Turns, samples: Samples, R_cb: Array, offset: float) -> None:
         text = f"the IMU's axes seem to be ({name}) of what the mounting says"
         mistakes[text + ("" if np.linalg.det(axes) > 0 else ", a left-handed system")] = body @ axes.T @ R_cb.T
     gain = float(np.sum(camera * (body @ R_cb.T)) / max(np.sum(body**2), 1e-12))
-    unit = f"the gyroscope's rates seem to be {1 / gain:.3g} times too large (another unit)" if gain > 0 else ""
-    mistakes |= {unit: gain * body @ R_cb.T} if unit else {}
+    if gain > 0:
+        text = f"the gyroscope's rates seem to be {1 / gain:.3g} times too large (another unit)"
+        mistakes[text] = gain * body @ R_cb.T
     for text, predicted in mistakes.items():
         if _explains(camera, predicted, turns):
             raise ContradictionError(f"the IMU contradicts the camera: {text}")

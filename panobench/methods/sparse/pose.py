@@ -137,9 +137,12 @@ def solve_pose(
         return T_cw
     X, b, o = np.ascontiguousarray(points), np.ascontiguousarray(bearings), origins_of(origins, len(points))
     R, t = T_cw[:3, :3].copy(), T_cw[:3, 3].copy()
-    cost, damping = _pose_cost(R, t, X, o, b, focal, huber), 1e-4
-    if prior is not None:
-        cost += huber**2 * prior.cost(R)
+
+    def cost_at(R: Array, t: Array) -> float:
+        cost = float(_pose_cost(R, t, X, o, b, focal, huber))
+        return cost if prior is None else cost + huber**2 * prior.cost(R)
+
+    cost, damping = cost_at(R, t), 1e-4
     for _ in range(iterations):
         H, g = np.zeros((6, 6)), np.zeros(6)
         _pose_system(R, t, X, o, b, focal, huber, H, g)
@@ -151,9 +154,7 @@ def solve_pose(
         for _ in range(5):
             R2, t2 = R.copy(), t.copy()
             apply_increment(-np.linalg.solve(H + np.diag(damping * np.diag(H) + 1e-9), g), R2, t2)
-            new = _pose_cost(R2, t2, X, o, b, focal, huber)
-            if prior is not None:
-                new += huber**2 * prior.cost(R2)
+            new = cost_at(R2, t2)
             if new < cost:
                 break
             damping *= 10

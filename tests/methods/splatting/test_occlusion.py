@@ -4,28 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from gaussian_shells import shell
 
 from panobench.cameras.erp import ErpCamera
 from panobench.geometry import make_pose
 from panobench.methods.splatting.culling import STEPS
 from panobench.methods.splatting.occlusion import OccludedMap
 from panobench.methods.splatting.trainable_map import TrainableMap
-from panobench.splat.gaussians import GaussianMap
 from panobench.splat.loss import pixel_weights
 from panobench.splat.render import Renderer
 
 CAMERA = ErpCamera(128, 64)
 RENDERER = Renderer(CAMERA)
 HERE = np.eye(4)
-
-
-def shell(radius: float, grey: float, n: int = 1500) -> GaussianMap:
-    """An opaque sphere of discs about the origin."""
-    k = np.arange(n) + 0.5
-    y, lon = 1 - 2 * k / n, np.pi * (1 + 5**0.5) * k
-    d = np.stack([np.sqrt(1 - y**2) * np.sin(lon), y, np.sqrt(1 - y**2) * np.cos(lon)], axis=1)
-    size = np.full((n, 3), np.log(radius * np.sqrt(4 * np.pi / n)))
-    return GaussianMap(radius * d, size, np.tile([1.0, 0, 0, 0], (n, 1)), np.full(n, 4.0), np.full((n, 3), grey))
 
 
 @pytest.fixture
