@@ -42,6 +42,8 @@ def _spell(kind: Any) -> str | None:
         return str(kind)
     if isinstance(kind, types.NoneType):
         return "none"
+    if kind == types.npy_rng:
+        return "npy_rng"
     if isinstance(kind, types.Omitted):
         return f"Omitted({kind.value!r})" if isinstance(kind.value, (bool, int, float)) else None
     return None

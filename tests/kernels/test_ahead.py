@@ -119,6 +119,7 @@ def test_processes_that_compile_variants_at_once_do_not_mix_them_up(tmp_path: Pa
         (np.zeros((2, 3), np.float32), 1, 2.5, True),
         (np.zeros((2, 3, 4), np.uint8, order="F"), np.zeros(3)[::2], None),
         ((1, 2), (0.5, 0.5, 0.5), np.zeros((2, 2), bool)),
+        (np.random.default_rng(0),),
     ],
 )
 def test_types_survive_being_written_down(values: tuple) -> None:
