@@ -41,16 +41,16 @@ def points(views: PosedPanoramas, k: int) -> Array:
     return np.asarray(views.T_wc[k, :3, 3] + views.depth[k][..., None] * views.rays(k))
 
 
-def posed_views() -> PosedPanoramas:
-    """Seven views, 256 x 128, with exact depth."""
-    camera = ErpCamera(256, 128)
+def posed_views(width: int = 256) -> PosedPanoramas:
+    """Seven views with exact depth."""
+    camera = ErpCamera(width, width // 2)
     t = np.linspace(0, 1, 7)
     positions = np.stack([0.5 * np.sin(5 * t), 0.3 * np.cos(3 * t), 0.6 * t - 0.5], axis=1)
     T_wc = make_pose(so3_exp(np.stack([0.1 * t, t, 0 * t], axis=1)), positions)
     cases = [(camera.rays() @ T[:3, :3].T, T[:3, 3]) for T in T_wc]
     depths, balls = zip(*(cast(rays, centre) for rays, centre in cases))
     luma = [painted(c + d[..., None] * r, b) for (r, c), d, b in zip(cases, depths, balls)]
-    scale = WorkingScale.of(camera, 256)
+    scale = WorkingScale.of(camera, width)
     return PosedPanoramas(np.stack(luma).astype(np.float32), np.stack(depths).astype(np.float32), T_wc, scale)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from panoramas_of_a_box import BOX, cast, points
+from panoramas_of_a_box import BOX, cast, points, posed_views, with_bulges
 
 from panobench.bench.export import patchmatch
 from panobench.bench.export.confirmation import confirmed
@@ -121,6 +121,26 @@ def test_a_finer_panorama_sees_the_same_planes(truth: PosedPanoramas) -> None:
     assert depth[:, 256:][right] == pytest.approx((3 / rays[:, 256:, 0])[right], rel=1e-5)
     behind = rays[:, 256:, 0] < -0.1
     assert np.isnan(depth[:, 256:][behind]).all()
+
+
+def test_windows_are_compared_in_larger_views(truth: PosedPanoramas) -> None:
+    """A pixel's plane costs what it costs the first of the pixels that the larger view has there."""
+    larger, others = posed_views(512), [0, 1, 5, 6]
+    planes = truth.scale.rays / (1.02 * truth.depth[3])[..., None]
+    field, whole = PlaneField(truth, 3, others, finer=larger), PlaneField(larger, 3, others)
+    field.offer(planes)
+    whole.offer(planes.repeat(2, axis=0).repeat(2, axis=1))
+    assert np.array_equal(field.cost[48:80], whole.cost[96:160:2, ::2])
+    assert np.array_equal(field.planes[48:80], planes[48:80])
+
+
+def test_larger_views_tell_depth_better(truth: PosedPanoramas, bulging: PosedPanoramas) -> None:
+    errors = []
+    for views in (bulging, with_bulges(posed_views(512))):
+        made = matched_depth(pyramid_of(views), 3, truth.scale.rays)
+        assert made.shape == truth.depth[3].shape
+        errors.append(float(np.nanmedian(np.abs(made / truth.depth[3] - 1))))
+    assert errors[1] < 0.6 * errors[0]
 
 
 def test_bulges_go_and_the_ball_stays_round(truth: PosedPanoramas, bulging: PosedPanoramas) -> None:

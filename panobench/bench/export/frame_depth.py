@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from panobench.bench.export.confirmation import confirmed
 from panobench.bench.export.plane_alignment import align
-from panobench.bench.export.plane_matching import far_others, matched_depth, pyramid_of
+from panobench.bench.export.plane_matching import far_others, matched_depth, pyramid_of, widest_within
 from panobench.bench.export.plane_pieces import solid_pieces
 from panobench.bench.export.plane_preference import preferred
 from panobench.bench.export.planes import Plane, find_planes
@@ -37,15 +37,26 @@ def depths_by_frames(views: PosedPanoramas, depths: Float, seed: int = 0) -> Flo
     made = np.stack([matched_depth(levels, k, rays) if far_others(views, k) else d for k, d in enumerate(depths)])
     tolerance = TOLERANCE * 2 * math.pi / min(views.scale.camera.width, width)
     sure = confirmed(made, views.T_wc, rays, tolerance)
-    flat = _on_planes(views, made, sure, rays, np.random.default_rng(seed))
+    whole = widest_within(levels, width)
+    flat = _on_planes(whole, views, made, sure, rays, np.random.default_rng(seed))
     stays = np.isfinite(sure) & (np.abs(flat / made - 1) < tolerance)
     made = np.where(stays, flat, confirmed(flat, views.T_wc, rays, tolerance))
     shown = cv2.resize(views.scale.valid.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     return np.where(shown, made, depths)
 
 
-def _on_planes(views: PosedPanoramas, depths: Float, sure: Float, rays: Float, generator: np.random.Generator) -> Float:
-    """The depths (K, H, W), moved onto planes of the scene where these are preferred; sure: NaN where not confirmed."""
+def _on_planes(
+    views: PosedPanoramas,
+    finer: PosedPanoramas,
+    depths: Float,
+    sure: Float,
+    rays: Float,
+    generator: np.random.Generator,
+) -> Float:
+    """The depths (K, H, W), moved onto planes of the scene where these are preferred; sure: NaN where not confirmed.
+
+    finer: the same views, at the size at which they are compared.
+    """
     matched = replace(views, depth=_resized(depths, views))
     found = [
         solid_pieces(plane, sure[:, ::2, ::2], views.T_wc, rays[::2, ::2], views.median_depth)
@@ -54,7 +65,7 @@ def _on_planes(views: PosedPanoramas, depths: Float, sure: Float, rays: Float, g
     made, small, size = depths.copy(), views.depth.shape[:0:-1], rays.shape[1::-1]
     for k, T in enumerate(views.T_wc):
         stays = cv2.resize(np.isfinite(sure[k]).astype(np.uint8), small, interpolation=cv2.INTER_NEAREST) > 0
-        number = cv2.resize(preferred(matched, k, stays, found), size, interpolation=cv2.INTER_NEAREST)
+        number = cv2.resize(preferred(matched, k, stays, found, finer), size, interpolation=cv2.INTER_NEAREST)
         world = rays @ T[:3, :3].T
         for j, pieces in enumerate(found):
             on_it = number == j

@@ -145,30 +145,32 @@ def _changed(a0, a1, a2, rx, ry, rz, by_depth, by_normal, state):  # type: ignor
 
 @njit(**PARALLEL)
 def try_planes(candidates, luma, rays, frames, R, t, best, samples, options, planes, cost):  # type: ignore[no-untyped-def]
-    """Write the candidates (H, W, 3; NaN: none) that cost less than ``cost`` (H, W) into it and ``planes`` (H, W, 3).
+    """Write the candidates (h, w, 3; NaN: none) that cost less than ``cost`` (h, w) into it and ``planes`` (h, w, 3).
 
-    luma (H, W), rays (H, W, 3): of the view. frames (F, H + 2, W + 2): others, ``padded``. R (F, 3, 3), t (F, 3): frame
-    from view. best: so many of the frames count. samples (N, 3): see ``window``.
-    options (4,): truncation, 1 / sigma of luma in the window's weights,
-    cost that a better plane must save, and difference (of 1) below which planes are the same. Everything is float32.
+    luma (H, W), rays (H, W, 3): of the view; H is h or a multiple, and a plane's window is about the first of its
+    pixels. frames (F, H + 2, W + 2): others, ``padded``. R (F, 3, 3), t (F, 3): frame from view. best: so many of
+    the frames count. samples (N, 3): see ``window``. options (4,): truncation, 1 / sigma of luma in the window's
+    weights, cost that a better plane must save, and difference (of 1) below which planes are the same. Everything is
+    float32.
     Near the poles, runs of two or four pixels have the plane of their first.
     """
-    h, w = luma.shape
+    h, w = cost.shape
+    finer = luma.shape[0] // h
     for y in prange(h):
         window = np.empty((5, len(samples)), np.float32)
         costs = np.empty(frames.shape[0] + 2 * len(samples), np.float32)
         alike = _pixels_alike(y, h)
         for x in range(0, w, alike):
-            a0, a1, a2 = candidates[y, x, 0], candidates[y, x, 1], candidates[y, x, 2]
-            ahead = a0 * rays[y, x, 0] + a1 * rays[y, x, 1] + a2 * rays[y, x, 2] > _ZERO
-            if not (ahead and luma[y, x] == luma[y, x]):
+            a0, a1, a2, j, i = candidates[y, x, 0], candidates[y, x, 1], candidates[y, x, 2], finer * y, finer * x
+            ahead = a0 * rays[j, i, 0] + a1 * rays[j, i, 1] + a2 * rays[j, i, 2] > _ZERO
+            if not (ahead and luma[j, i] == luma[j, i]):
                 continue
-            _gather(luma, rays, y, x, samples, options[1], window)
+            _gather(luma, rays, j, i, samples, options[1], window)
             c = _cost(frames, R, t, a0, a1, a2, window, options[0], best, costs)
             if c < cost[y, x] - options[2]:
-                for i in range(x, min(x + alike, w)):
-                    cost[y, i] = c
-                    planes[y, i, 0], planes[y, i, 1], planes[y, i, 2] = a0, a1, a2
+                for n in range(x, min(x + alike, w)):
+                    cost[y, n] = c
+                    planes[y, n, 0], planes[y, n, 1], planes[y, n, 2] = a0, a1, a2
 
 
 @njit(**PARALLEL)
@@ -198,7 +200,8 @@ def propagate(  # type: ignore[no-untyped-def]
     numbers, int. before: a copy of ``planes``, so that the order of rows does not count. The other arguments are as in
     ``try_planes``.
     """
-    h, w = luma.shape
+    h, w = cost.shape
+    finer = luma.shape[0] // h
     for y in prange(h):
         window = np.empty((5, len(samples)), np.float32)
         costs = np.empty(frames.shape[0] + 2 * len(samples), np.float32)
@@ -207,10 +210,11 @@ def propagate(  # type: ignore[no-untyped-def]
             continue
         for x in range((y + colour) % 2, w, max(2, alike)):
             a0, a1, a2, least = planes[y, x, 0], planes[y, x, 1], planes[y, x, 2], cost[y, x]
-            if not (luma[y, x] == luma[y, x] and a0 == a0):
+            j, i = finer * y, finer * x
+            if not (luma[j, i] == luma[j, i] and a0 == a0):
                 continue
-            rx, ry, rz = rays[y, x, 0], rays[y, x, 1], rays[y, x, 2]
-            _gather(luma, rays, y, x, samples, options[1], window)
+            rx, ry, rz = rays[j, i, 0], rays[j, i, 1], rays[j, i, 2]
+            _gather(luma, rays, j, i, samples, options[1], window)
             state = np.uint64(y * w + x + 1) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(seed + 1)
             for _ in range(4):
                 state, _e = _random(state)
@@ -233,5 +237,5 @@ def propagate(  # type: ignore[no-untyped-def]
                 c = _cost(frames, R, t, b0, b1, b2, window, options[0], best, costs)
                 if c < least - options[2]:
                     a0, a1, a2, least = b0, b1, b2, c
-            for i in range(x, min(x + alike, w)):
-                planes[y, i, 0], planes[y, i, 1], planes[y, i, 2], cost[y, i] = a0, a1, a2, least
+            for n in range(x, min(x + alike, w)):
+                planes[y, n, 0], planes[y, n, 1], planes[y, n, 2], cost[y, n] = a0, a1, a2, least

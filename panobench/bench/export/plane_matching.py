@@ -24,7 +24,7 @@ Float = NDArray[np.float32]
 #: Views that one is compared with, and their distances from it over the scene's median depth.
 OTHERS, NEAREST, FARTHEST = 10, 0.15, 1.0
 #: The part of the others with the least differences counts: the rest may be hidden.
-VISIBLE = 0.6
+VISIBLE = 0.4
 #: Pixels between the samples of a window: wider ones straddle the edges of small things.
 SPACING = 1
 #: Differences of luma (of 1) are cut here, and a sample weighs less the more its luma differs from the middle's.
@@ -57,15 +57,27 @@ FINE = (Pass(8, 3, 0.02, 0.2), Pass(4, 3, 0.005, 0.1))
 
 
 class PlaneField:
-    """A plane for each pixel of view ``k``, the best of those offered and found."""
+    """A plane for each pixel of view ``k``, the best of those offered and found.
 
-    def __init__(self, views: PosedPanoramas, k: int, others: list[int], seed: int = 0, spacing: int = SPACING) -> None:
+    finer: the same views several times as wide, in which windows are compared in their place.
+    """
+
+    def __init__(
+        self,
+        views: PosedPanoramas,
+        k: int,
+        others: list[int],
+        seed: int = 0,
+        spacing: int = SPACING,
+        finer: PosedPanoramas | None = None,
+    ) -> None:
         T = np.stack([invert_pose(views.T_wc[j]) @ views.T_wc[k] for j in others]).astype(np.float32)
+        compared = finer or views
         self.planes = np.full((*views.depth.shape[1:], 3), np.nan, np.float32)
         self.cost = np.full(views.depth.shape[1:], np.inf, np.float32)
-        self._rays, self._scale, self._seed = views.scale.rays, views.scale, seed
+        self._views, self._k, self._others, self._seed = views, k, others, seed
         self._view = (
-            views.luma[k], self._rays, padded(views.luma[others], wrap=True),
+            compared.luma[k], compared.scale.rays, padded(compared.luma[others], wrap=True),
             np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3]),
             max(1, round(VISIBLE * len(others))), window(spacing),
             np.array([TRUNCATION, 1 / SIGMA, SAVED, SAME], np.float32),
@@ -78,8 +90,9 @@ class PlaneField:
 
     def offer_depth(self, depth: Float) -> None:
         """The same for a depth (H, W), along its surface."""
-        normal = normals_of(depth, self._rays)
-        slope = (normal * self._rays).sum(axis=-1)
+        rays = self._views.scale.rays
+        normal = normals_of(depth, rays)
+        slope = (normal * rays).sum(axis=-1)
         with np.errstate(divide="ignore"):
             self.offer(np.where((np.abs(slope) > 0.1)[..., None], normal / (depth * slope)[..., None], np.nan))
 
@@ -96,17 +109,27 @@ class PlaneField:
 
     def smooth(self) -> None:
         """Move the planes to the depth of their neighbours, where that is known better and nearly the same."""
-        luma, rays, frames, R, t = self._view[:5]
-        depth = self.depth(rays)
+        luma, scale, (R, t) = self._views.luma, self._views.scale, self._view[3:5]
+        depth = self.depth(scale.rays)
         known = np.isfinite(depth)
         depth = np.where(known, depth, np.float32(1))
         information, smooth = np.empty_like(depth), np.empty_like(depth)
-        inner = np.ascontiguousarray(frames[:, 1:-1, 1:-1])
-        depth_information(luma, depth, rays, inner, R, t, self._scale.code, self._scale.cam, information)
+        own, others = luma[self._k], luma[self._others]
+        depth_information(own, depth, scale.rays, others, R, t, scale.code, scale.cam, information)
         information = np.where(known, information, 0).astype(np.float32)
         floor = FLOOR * float(np.median(information[known])) if known.any() else 0.0
         planar_filter(
-            depth, information, np.nan_to_num(luma), rays, RADIUS, 1, SMOOTH_LUMA, SMOOTH_DEPTH, floor, True, smooth
+            depth,
+            information,
+            np.nan_to_num(own),
+            scale.rays,
+            RADIUS,
+            1,
+            SMOOTH_LUMA,
+            SMOOTH_DEPTH,
+            floor,
+            True,
+            smooth,
         )
         self.planes *= (depth / smooth)[..., None]
 
@@ -121,23 +144,33 @@ class PlaneField:
 def matched_depth(levels: list[PosedPanoramas], k: int, rays: Float, seed: int = 0) -> Float:
     """Radial depth (h, w) of view ``k`` along the unit rays (h, w, 3) of a panorama, NaN where no frame says anything.
 
-    It begins at the depth of the views. levels: of ``pyramid_of``.
+    It begins at the depth of the views. levels: of ``pyramid_of``; those larger than the depth are compared, but
+    have no more planes than it has pixels.
     """
     others = far_others(levels[-1], k)
+    whole = widest_within(levels, rays.shape[1])
     field: PlaneField | None = None
     for views in levels:
-        coarser, field = field, PlaneField(views, k, others, seed)
+        coarser, larger = field, views.luma.shape[2] > whole.luma.shape[2]
+        field = PlaneField(whole, k, others, seed, finer=views) if larger else PlaneField(views, k, others, seed)
+        size = field.cost.shape[::-1]
         if coarser is None:
             field.offer(views.scale.rays / views.depth[k][..., None])
         else:
-            field.offer(coarser.planes.repeat(2, axis=0).repeat(2, axis=1))
-        field.offer_depth(views.depth[k])
+            planes = cv2.resize(coarser.planes, size, interpolation=cv2.INTER_NEAREST)
+            field.offer(np.asarray(planes, np.float32))
+        field.offer_depth((whole if larger else views).depth[k])
         field.improve(COARSE if coarser is None else FINE)
     assert field is not None
     if len(levels) == 1:
         field.improve(FINE)
     field.smooth()
     return field.depth(rays)
+
+
+def widest_within(levels: list[PosedPanoramas], width: int) -> PosedPanoramas:
+    """The largest of the sizes of ``pyramid_of`` that is at most ``width`` wide, or the smallest."""
+    return next((views for views in reversed(levels) if views.luma.shape[2] <= width), levels[0])
 
 
 def pyramid_of(views: PosedPanoramas) -> list[PosedPanoramas]:

@@ -25,18 +25,22 @@ SAME = 0.002
 
 
 def preferred(
-    views: PosedPanoramas, k: int, sure: NDArray[np.bool_], planes: Sequence[PlanePieces]
+    views: PosedPanoramas,
+    k: int,
+    sure: NDArray[np.bool_],
+    planes: Sequence[PlanePieces],
+    finer: PosedPanoramas | None = None,
 ) -> NDArray[np.int16]:
     """(H, W): the number of the plane that view ``k`` shows in place of its depth, -1 for none.
 
-    sure (H, W): where other views confirm the depth.
+    sure (H, W): where other views confirm the depth. finer: the same views larger, to be compared in their place.
     """
     depth, rays, T = views.depth[k], views.rays(k), views.T_wc[k]
     found = np.full(depth.shape, -1, np.int16)
     others = far_others(views, k)
     if not others:
         return found
-    at_hand = PlaneField(views, k, others)
+    at_hand = PlaneField(views, k, others, finer=finer)
     at_hand.offer(views.scale.rays / depth[..., None])
     at_hand.offer_depth(depth)
     least, nearest = np.full(depth.shape, ALLOWED, np.float32), np.full(depth.shape, np.inf, np.float32)
@@ -48,7 +52,7 @@ def preferred(
         behind = off > NEAR
         tried = ~behind & (~sure | (np.abs(off) < SAME)) & (there < (1 + NEARER) * depth)
         local = T[:3, :3].T @ plane.normal / (plane.offset - plane.normal @ T[:3, 3])
-        field = PlaneField(views, k, others)
+        field = PlaneField(views, k, others, finer=finer)
         field.offer(np.where(tried[..., None], local, np.nan))
         with np.errstate(invalid="ignore"):  # no frame shows some pixels
             excess = field.cost - at_hand.cost
