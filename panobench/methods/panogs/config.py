@@ -152,7 +152,9 @@ class SeedingOptions(Options):
     opacity_below: float = option(0.5, "rendered opacity below which the map is thin", maximum=1.0)
     error_above: float = option(0.12, "mean colour error over 5 x 5 pixels from which the map is wrong", unit="of 1")
     depth_guided: bool = option(True, "depth from the nearest pixel that has one; off: the ablation w/o DGIS")
-    guess_share: float = option(0.2, "unknown share of a narrow view from which the nearest depth is used at once")
+    guess_share: float = option(
+        0.2, "share of a narrow view that is unknown after a sweep from which the nearest depth is used there"
+    )
     flatten: float = option(0.15, "thickness of a disc over its width")
     scale_factor: float = option(0.55, "standard deviation of a disc over the distance between seeds", above=0)
     opacity: float = option(0.9, "opacity of a new Gaussian", below=1)

@@ -229,7 +229,7 @@ class PanogsMethod(OnlineMethod):
         self._note(frame, new_share=new_share, keyframe=is_keyframe)
         if is_keyframe:
             self.places.add(self.places.thumbnail(self.tracker.pyramid[-1]))
-            self.lag.sweep_wanted = True
+            self.lag.keyframe(frame, self.mapper.local_depth(tracked.render), new_share)
             self._note(frame, agreement=agreement(self.tracker.pyramid, tracked.render, self.tracker.weights))
 
     def _skip(self, frame: Frame) -> None:

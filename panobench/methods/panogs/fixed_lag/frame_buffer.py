@@ -79,6 +79,10 @@ class FrameBuffer:
         """The frame ``lag`` frames before the newest."""
         return self._frames[-1 - lag]
 
+    def newest(self, count: int) -> list[BufferedFrame]:
+        """The last ``count`` frames, or as many as there are, oldest first."""
+        return list(self._frames)[-count:]
+
     def split(self, lag: int) -> tuple[BufferedFrame, list[BufferedFrame]] | None:
         """The frame ``lag`` frames before the newest, or the first after it that may be mapped, and those after that.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
 from panobench.methods.panogs.config import FixedLagOptions
+from panobench.methods.panogs.fixed_lag.entering import EnteringDepth
 from panobench.methods.panogs.fixed_lag.frame_buffer import BufferedFrame, FrameBuffer
 from panobench.methods.panogs.fixed_lag.lag_smoother import LagSmoother
 from panobench.methods.panogs.fixed_lag.swept_depth import DepthSweep, SweptDepth
@@ -25,9 +26,12 @@ from panobench.methods.splatting.views import View
 from panobench.photometric.overlap import ViewShare, ViewWidth
 from panobench.splat.gaussians import F32
 from panobench.splat.render import Render
+from panobench.types import Frame
 
 #: A sweep over so many frames takes every second one.
 MANY = 8
+#: Share of a narrow view that must be new for the depth of what enters it to be looked for at once.
+ENTERING_SHARE = 0.02
 
 
 @dataclass
@@ -53,6 +57,7 @@ class FixedLag:
         self.votes = FrameVotes(camera, trajectory)
         self.smoother = LagSmoother(self.buffer.fine_scale, options)
         self.width, self.view_share = ViewWidth.of(camera), ViewShare(camera)
+        self.entering = EnteringDepth(options, self.buffer, self.depth_sweep, mapper, trajectory)
         self.sweep_wanted = False
         self._found: _Found | None = None
 
@@ -60,6 +65,15 @@ class FixedLag:
     def can_insert(self) -> bool:
         """A depth was swept that ``insert`` has yet to put into the map."""
         return self._found is not None
+
+    def keyframe(self, frame: Frame, scene_depth: float, new_share: float) -> None:
+        """A keyframe, of which ``new_share`` is new: its depth is wanted, in a narrow view that of what enters at once.
+
+        scene_depth: median depth of what it sees.
+        """
+        self.sweep_wanted = True
+        if self.width is ViewWidth.NARROW and self.options.sweep and new_share > ENTERING_SHARE:
+            self.entering.insert(frame, scene_depth)
 
     def sweep(self, scene_depth: float) -> None:
         """Sweep the depth of what the frame at the lag sees new, by the poses as they are now."""

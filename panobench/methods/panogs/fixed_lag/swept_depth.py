@@ -64,9 +64,14 @@ class DepthSweep:
         )
         return SweptDepth(found, confidence, target, images, T_fr)
 
-    def full_size(self, swept: SweptDepth) -> F32:
-        """Its depth (H, W) at the camera's size, NaN where it is unsure and better left to a later frame."""
+    def full_size(self, swept: SweptDepth, among: NDArray[np.bool_] | None = None) -> F32:
+        """Its depth (H, W) at the camera's size, NaN where it is unsure and better left to a later frame.
+
+        among (h, w): pixels elsewhere are not sure.
+        """
         sure = np.where(swept.confidence >= self.options.confidence, swept.depth, np.float32(np.nan))
+        if among is not None:
+            sure = np.where(among, sure, np.float32(np.nan))
         return resize_panorama(sure, (self.camera.height, self.camera.width), self.camera.kind == "erp")
 
     def map_over_swept(self, swept: SweptDepth, mapped: F32) -> float:

@@ -127,8 +127,7 @@ class Mapper:
             self.split(view, render, ~unknown if view.visible is None else ~unknown & view.visible)
         before = len(self.map)
         self.optimiser.plan(c.mapping.iterations)
-        guess = self.width is ViewWidth.NARROW and new_share > c.seeding.guess_share
-        if guess or not c.fixed_lag.sweep:
+        if not c.fixed_lag.sweep:
             self.insert(view, render)
             self.plan_for_new(before)
             self.optimiser.work_all()
@@ -237,6 +236,14 @@ class Mapper:
             return 0
         depth_map = self._guessed_depth(render) if swept is None else swept
         return self.seed(view, depth_map, pixels, spacing)
+
+    def insert_where(self, view: View, wanted: Mask, depth_map: F32) -> int:
+        """New Gaussians where ``wanted`` (H, W) and ``depth_map`` (H, W) has a depth; returns how many."""
+        wanted = wanted & np.isfinite(depth_map)
+        if view.visible is not None:
+            wanted &= view.visible
+        pixels, spacing = self.pattern.seeds(view.image, wanted, self.rng)
+        return self.seed(view, depth_map, pixels, spacing) if len(pixels) else 0
 
     def _guessed_depth(self, render: Render) -> F32:
         """(H, W): the rendered depth, perturbed where it is a guess."""
