@@ -42,7 +42,7 @@ def test_parallax_is_that_of_the_frames_that_see_a_pixel() -> None:
 
 
 def known_depth(monkeypatch: pytest.MonkeyPatch, at_once: bool) -> np.ndarray:
-    """A camera turns by 4 degrees a frame in a box: log of the map's depth over the true one, (H, W), in the last frame.
+    """Log of the map's depth over the true one, (H, W), in the last frame of a camera that turns by 4 degrees a frame.
 
     NaN where the map has nothing. Nothing is guessed; at_once: what enters is swept over the frames before.
     """
