@@ -89,10 +89,12 @@ class GeometryMask(MaskEstimator):
         if share < LEAST:
             return MaskEstimate(everything, message="nothing moves with the camera", details=details)
         turns = frames.turns(votes, region)
-        if turns is None:
+        turned = None if turns is None else hidden_region(panorama, *summed(votes, turns, panorama))
+        # Where nothing is left in the carrier's axes, what was followed is no carrier: a hand before a lens for a while.
+        if turns is None or turned is None or not turned.any():
             message = f"{share:.1%} of the view moves with the camera"
             return MaskEstimate(everything & ~hidden, message=message, details=details)
-        masks = TurnedMasks(panorama, hidden_region(panorama, *summed(votes, turns, panorama)), camera.rays(), turns)
+        masks = TurnedMasks(panorama, turned, camera.rays(), turns)
         some = [~masks[i] for i in range(0, len(turns), max(len(turns) // SOME_FRAMES, 1))]
         always, area = np.all(some, axis=0), camera.with_mask(None).solid_angle()
         share = float(np.mean([view_share(area, one) for one in some]))

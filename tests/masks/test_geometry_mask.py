@@ -122,6 +122,18 @@ def test_who_swings_fast_is_followed_from_where_one_pair_of_frames_saw_her() -> 
     assert max(np.linalg.norm(so3_log(R.T @ T)) for R, T in zip(true, turns)) < np.deg2rad(4)
 
 
+def test_what_is_lost_once_it_is_followed_is_hidden_where_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a hand before a lens for a while: by turns that are none of a carrier's, no vote is left to hide anything."""
+    rng = np.random.default_rng(0)
+    monkeypatch.setattr(
+        geometry._Frames, "turns", lambda self, *_: [so3_exp(rng.normal(0, 2, 3)) for _ in range(len(self.sequence))]
+    )
+    found = estimate(walk("tiny+operator-15"))
+    assert not found.frames
+    assert not found.valid.all()
+    assert "turns in the picture" not in found.message
+
+
 def test_who_only_sways_gets_one_mask_for_all_frames() -> None:
     found = estimate(walk("tiny+operator-15"))
     assert not found.frames
