@@ -90,7 +90,7 @@ class GeometryMask(MaskEstimator):
             return MaskEstimate(everything, message="nothing moves with the camera", details=details)
         turns = frames.turns(votes, region)
         turned = None if turns is None else hidden_region(panorama, *summed(votes, turns, panorama))
-        # Where nothing is left in the carrier's axes, what was followed is no carrier: a hand before a lens for a while.
+        # Where nothing is left in the carrier's axes, what was followed is none: a hand before a lens for a while.
         if turns is None or turned is None or not turned.any():
             message = f"{share:.1%} of the view moves with the camera"
             return MaskEstimate(everything & ~hidden, message=message, details=details)
