@@ -23,7 +23,6 @@ from scipy.spatial import cKDTree
 
 from panobench.api import Run
 from panobench.bench.export.frames import frames_of
-from panobench.cameras.erp import ErpCamera
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.open import open_sequence
 from panobench.datasets.synthetic.rooms import RoomSequence
@@ -60,18 +59,17 @@ class TrueSurface:
 
     @classmethod
     def seen_by(cls, frames: FrameSequence, low: Array, high: Array) -> TrueSurface:
-        truth = frames.groundtruth
-        depth = frames.depth(0)
-        if truth is None or depth is None:
-            raise SystemExit(f"{frames.name} has no exact depth")
-        rays = ErpCamera(depth.shape[1], depth.shape[0]).rays()
+        truth, rays = frames.groundtruth, frames.camera.rays()
         points = np.zeros((0, 3))
-        for k, T in enumerate(truth.T_wc):
+        for k, T in enumerate(truth.T_wc if truth else ()):
             depth = frames.depth(k)
-            assert depth is not None
+            if depth is None:
+                break
             seen = np.isfinite(depth)
             new = (depth[seen][:, None] * rays[seen]) @ T[:3, :3].T + T[:3, 3]
             points = _one_per_cell(np.concatenate([points, _within(new, low, high)]))
+        if not len(points):
+            raise SystemExit(f"{frames.name} has no exact depth")
         return cls(points, low, high)
 
     @cached_property

@@ -151,15 +151,14 @@ def matched_depth(levels: list[PosedPanoramas], k: int, rays: Float, seed: int =
     whole = widest_within(levels, rays.shape[1])
     field: PlaneField | None = None
     for views in levels:
-        coarser, larger = field, views.luma.shape[2] > whole.luma.shape[2]
-        field = PlaneField(whole, k, others, seed, finer=views) if larger else PlaneField(views, k, others, seed)
-        size = field.cost.shape[::-1]
+        at = min(views, whole, key=lambda size: size.luma.shape[2])
+        coarser, field = field, PlaneField(at, k, others, seed, finer=views)
         if coarser is None:
-            field.offer(views.scale.rays / views.depth[k][..., None])
+            field.offer(at.scale.rays / at.depth[k][..., None])
         else:
-            planes = cv2.resize(coarser.planes, size, interpolation=cv2.INTER_NEAREST)
+            planes = cv2.resize(coarser.planes, field.cost.shape[::-1], interpolation=cv2.INTER_NEAREST)
             field.offer(np.asarray(planes, np.float32))
-        field.offer_depth((whole if larger else views).depth[k])
+        field.offer_depth(at.depth[k])
         field.improve(COARSE if coarser is None else FINE)
     assert field is not None
     if len(levels) == 1:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.cameras.base import Camera
 from panobench.geometry import invert_pose
 from panobench.methods.panogs.config import FixedLagOptions
 from panobench.methods.panogs.fixed_lag.frame_buffer import FrameBuffer
@@ -88,10 +89,8 @@ class EnteringDepth:
         if not len(which):
             return
         T = invert_pose(view.T_wc)
-        pixels, valid = camera.project(m.map.gaussians.means[which].astype(np.float64) @ T[:3, :3].T + T[:3, 3])
-        x, y = np.floor(np.where(valid[:, None], pixels, -1)).astype(int).T
-        inside = (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
-        known = inside & np.isfinite(sure[np.where(inside, y, 0), np.where(inside, x, 0)])
+        x, y, inside = _pixels(camera, m.map.gaussians.means[which].astype(np.float64) @ T[:3, :3].T + T[:3, 3])
+        known = inside & np.isfinite(sure[y, x])
         gone = np.zeros(len(m.map), bool)
         gone[which[known]] = True
         m.map.drop(gone)
@@ -108,13 +107,21 @@ def parallax(scale: WorkingScale, swept: SweptDepth) -> tuple[NDArray[np.float64
     for T in swept.T_fr:
         turned = points @ T[:3, :3].T
         local = turned + T[:3, 3]
-        pixels, valid = scale.camera.project(local)
-        x, y = np.floor(np.where(valid[:, None], pixels, -1)).astype(int).T
-        seen = (x >= 0) & (y >= 0) & (x < w) & (y < h)
-        seen &= scale.valid[np.where(seen, y, 0), np.where(seen, x, 0)]
-        cosine = np.sum((points @ T[:3, :3].T) * local, axis=1) / np.maximum(
-            length * np.linalg.norm(local, axis=1), 1e-9
-        )
+        x, y, inside = _pixels(scale.camera, local)
+        seen = inside & scale.valid[y, x]
+        cosine = np.sum(turned * local, axis=1) / np.maximum(length * np.linalg.norm(local, axis=1), 1e-9)
         largest = np.maximum(largest, np.where(seen, np.arccos(np.clip(cosine, -1, 1)), 0))
         count += seen
     return largest.reshape(h, w), count.reshape(h, w)
+
+
+def _pixels(
+    camera: Camera, points: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    """Columns and rows (N,) of the pixels that show points (N, 3) of the camera's frame, 0 where none does, and where
+    one does.
+    """
+    pixels, valid = camera.project(points)
+    x, y = np.floor(np.where(valid[:, None], pixels, -1)).astype(int).T
+    inside = (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
+    return np.where(inside, x, 0), np.where(inside, y, 0), inside
