@@ -59,6 +59,14 @@ def enlargement(source: Camera, target: Camera, R_target_source: Array) -> float
     return float(1 / np.percentile(np.sqrt(along * down), 95)) if along.size else 1.0
 
 
+def enlarged_remark(factor: float, target: Camera, source: Camera | None = None) -> list[str]:
+    """A line that says how much larger than recorded ``target``'s images are; none if they hardly are."""
+    if factor <= ENLARGED:
+        return []
+    size = f"{f'{source.width}x{source.height} ' if source else ''}to {target.kind} {target.width}x{target.height}"
+    return [f"images are enlarged {factor:.1f} times or more ({size}), which blurs them; give a smaller --width"]
+
+
 def choose_sampling(source: Camera, target: Camera, R_target_source: Array) -> Sampling:
     """The sampling of a reprojection: plain when magnifying; supersampled, perhaps after shrinking, when minifying."""
     along, down = stretch(source, target, R_target_source)

@@ -125,7 +125,7 @@ def _sources(opened: FrameSequence, targets: list[Target]) -> list[tuple[FrameSe
     import numpy as np
 
     from panobench.cameras.factory import CameraChoice
-    from panobench.datasets.writing.converted import enlarged_remark
+    from panobench.cameras.footprint import enlarged_remark, enlargement
     from panobench.datasets.writing.export import Target
 
     rendered = []
@@ -135,7 +135,8 @@ def _sources(opened: FrameSequence, targets: list[Target]) -> list[tuple[FrameSe
         if made is not None:
             rendered.append((made, [Target(target.path, CameraChoice(made.camera, np.eye(3), choice.label))]))
             continue
-        for remark in enlarged_remark(opened.camera, choice.camera, choice.R_target_source):
+        factor = enlargement(opened.camera, choice.camera, choice.R_target_source)
+        for remark in enlarged_remark(factor, choice.camera, opened.camera):
             typer.echo(f"{target.path}: {remark}", err=True)
     return rendered or [(opened, targets)]
 

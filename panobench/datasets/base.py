@@ -65,6 +65,14 @@ class FrameSequence(ABC):
         return None
 
     @property
+    def enlargement(self) -> float:
+        """How many pixels of a frame lie, along one axis, in one pixel of what was recorded; 1.0: no more than one.
+
+        Errors in pixels count for so much less, since nothing in the picture says where within its own pixel it lies.
+        """
+        return 1.0
+
+    @property
     def groundtruth(self) -> Trajectory | None:
         """True camera-to-world poses at some or all of ``times``, whose times match exactly; or None."""
         return None

@@ -27,6 +27,10 @@ class WrappedSequence(FrameSequence):
         return self.source.frame_name(index)
 
     @property
+    def enlargement(self) -> float:
+        return self.source.enlargement
+
+    @property
     def groundtruth(self) -> Trajectory | None:
         return self.source.groundtruth
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import json
+import os
 import tempfile
 import threading
 from functools import cached_property
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from panobench import kernel_cache
 from panobench.bench.run.config import override
 from panobench.cameras.base import Camera
 from panobench.datasets.base import FrameSequence
@@ -186,7 +188,8 @@ def _no_ground_truth(s: _Subject) -> str | None:
 
 def _stays(s: _Subject) -> str | None:
     _, watched, work = s.first
-    outside = watched.written_outside(work, Path.home() / ".cache")
+    kernels = os.environ.get(kernel_cache.VARIABLE)
+    outside = watched.written_outside(work, Path.home() / ".cache", *([Path(kernels)] if kernels else []))
     require(not outside, f"it writes outside its work folder: {', '.join(map(str, outside[:3]))}")
     return "as far as Python's audit events show"
 

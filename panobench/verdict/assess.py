@@ -24,16 +24,18 @@ def assess(
     others: Mapping[str, Estimate] | None = None,
     rejected: str = "",
     not_rigid: float = 0.0,
+    enlargement: float = 1.0,
 ) -> Verdict:
     """The verdict on an estimate for ``given`` frames.
 
     metrics: what the run's own map scored at the frames themselves. others: by name, what other methods say of the
     same frames. rejected: why the run does not count anyway ("" if it does); the verdict is then "failed".
     not_rigid: the share of the view that does not move as a rigid scene, where it is too much to hide.
+    enlargement: how much larger than recorded the frames were, see ``FrameSequence.enlargement``.
     """
     asked = others or {}
     opinions = [
-        path.second_method(estimate.trajectory, e.trajectory, name, given, unsure=_unsure(e))
+        path.second_method(estimate.trajectory, e.trajectory, name, given, unsure=_unsure(e, enlargement))
         for name, e in asked.items()
     ]
     agreeing = [
@@ -48,7 +50,7 @@ def assess(
         path.steadiness(estimate.trajectory, agreeing),
         own.first_depth(estimate, confirmed=bool(agreeing)),
         agreement,
-        own.reprojection(estimate),
+        own.reprojection(estimate, enlargement),
         own.rigid_scene(not_rigid),
         steady_height(estimate),
         own.inertial(estimate),
@@ -60,15 +62,15 @@ def assess(
     if rejected:
         found.append(Evidence("status", 0.0, rejected))
     verdict = decide([e for e in found if e is not None])
-    better = _better(asked, given) if doubts_itself and not not_rigid else None
+    better = _better(asked, given, enlargement) if doubts_itself and not not_rigid else None
     return verdict if better is None else replace(verdict, advice=(better, *verdict.advice))
 
 
-def _better(asked: Mapping[str, Estimate], given: int) -> str | None:
+def _better(asked: Mapping[str, Estimate], given: int, enlargement: float) -> str | None:
     """Advice to take another method that was asked, if nothing that it says of itself is against it."""
     for name, other in asked.items():
         track = other.trajectory
-        about = [path.coverage(len(track), given), path.steadiness(track), own.reprojection(other)]
+        about = [path.coverage(len(track), given), path.steadiness(track), own.reprojection(other, enlargement)]
         if name != BACKWARDS and all(e is None or e.trust >= CONFIRMED for e in about):
             return (
                 f"try '{name}' (--method {name}): it has {len(track)} of {given} frames, and nothing in its own path "
@@ -77,7 +79,7 @@ def _better(asked: Mapping[str, Estimate], given: int) -> str | None:
     return None
 
 
-def _unsure(other: Estimate) -> bool:
+def _unsure(other: Estimate, enlargement: float) -> bool:
     """Whether a second method's own features do not fit its path."""
-    fit = own.reprojection(other)
+    fit = own.reprojection(other, enlargement)
     return fit is not None and fit.trust < TRUSTED

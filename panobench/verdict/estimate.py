@@ -101,19 +101,21 @@ def agreement(estimate: Estimate) -> Evidence | None:
     )  # fmt: skip
 
 
-def reprojection(estimate: Estimate) -> Evidence | None:
+def reprojection(estimate: Estimate, enlargement: float = 1.0) -> Evidence | None:
     """How well one rigid scene explains the features, if the method says so per frame ("error_px").
 
     ``extra`` "pixels_per_radian" is the resolution of what the features were found in, if the method says it.
+    enlargement: see ``FrameSequence.enlargement``; what counts are the pixels that were recorded.
     """
     errors = [row["error_px"] for row in estimate.frames.values() if "error_px" in row]
     if len(errors) < 5:
         return None
-    usual, resolution = float(np.median(errors)), estimate.extra.get("pixels_per_radian")
-    finer = max(resolution / REPROJECTION_FINE, 1.0) if isinstance(resolution, (int, float)) else 1.0
+    usual, resolution = float(np.median(errors)) / enlargement, estimate.extra.get("pixels_per_radian")
+    finer = max(resolution / enlargement / REPROJECTION_FINE, 1.0) if isinstance(resolution, (int, float)) else 1.0
+    pixels = "pixels of the recording" if enlargement > 1 else "pixels"
     return Evidence(
         "reprojection", falling(usual / finer, REPROJECTION_GOOD, REPROJECTION_BAD),
-        f"in half of the frames features are more than {usual:.1f} pixels from where the map has them",
+        f"in half of the frames features are more than {usual:.1f} {pixels} from where the map has them",
         "mask what moves with the camera (--mask), or record with less motion in view",
     )  # fmt: skip
 

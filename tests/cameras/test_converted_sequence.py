@@ -141,6 +141,13 @@ def test_a_narrow_view_that_loses_its_pixels_in_a_panorama_is_said() -> None:
     assert ConvertedSequence(Toy(pal), ERP).remarks() == []  # all around
 
 
+def test_an_enlarged_image_is_known_as_one() -> None:
+    double, half = (ConvertedSequence(Toy(ERP), ERP.scaled(width)) for width in (2 * ERP.width, ERP.width // 2))
+    assert double.enlargement == pytest.approx(2.0, rel=0.02)
+    assert half.enlargement == 1.0
+    assert ConvertedSequence(double, ERP).enlargement == pytest.approx(1.0, rel=0.02)  # enlarged, and shrunk again
+
+
 def test_no_overlap_is_refused() -> None:
     narrow = PinholeCamera.from_fov(60, 60, 40)
     with pytest.raises(UnsupportedError, match="sees nothing"):

@@ -147,7 +147,7 @@ def test_solid_angles_sum_to_the_coverage(model: str) -> None:
     @given(STRATEGIES[model])
     def check(camera: Camera) -> None:
         # Fine enough that the pixels cut by the rim are few, however small the drawn camera is.
-        fine = camera.scaled(camera.width * max(4, -(-960 // camera.width)))
+        fine = camera.scaled(camera.width * max(2, -(-480 // camera.width)))
         area = fine.solid_angle()
         assert area.shape == (fine.height, fine.width)
         assert (area >= 0).all()

@@ -11,11 +11,13 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import pytest
 
 from panobench.bench.records.record import FramesRecord
 from panobench.cli.main import run as panobench
 from panobench.cli.run import tracked_text
+from panobench.testing import TinySequence, erp_camera
 
 pytestmark = pytest.mark.usefixtures("fake_plugin")
 
@@ -51,6 +53,20 @@ def test_verbose_shows_the_log_as_it_is_written(tmp_path: Path, capsys: pytest.C
     assert json.loads(printed.out)["status"] == "ok"
     assert panobench(words(*blind, "--verbose", "--quiet")) == 2
     assert "--quiet and --verbose exclude each other" in capsys.readouterr().err
+
+
+def test_a_width_that_the_recording_does_not_have_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sequence = TinySequence(erp_camera(128), n=8)
+    (tmp_path / "images").mkdir()
+    for index in range(8):
+        cv2.imwrite(str(tmp_path / "images" / f"{index:03d}.png"), sequence.image(index)[..., ::-1])
+    where = ["run", "--method", "fake-still", "--dataset", "images", "--root", str(tmp_path / "images"), "--json"]
+    said = {}
+    for width in (128, 256):
+        assert panobench([*where, "--width", str(width), "--out", str(tmp_path / f"{width}")]) == 0
+        said[width] = "; ".join(json.loads(capsys.readouterr().out)["remarks"])
+    assert "images are enlarged 2.0 times" in said[256]
+    assert "enlarged" not in said[128]
 
 
 def test_set_reaches_the_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

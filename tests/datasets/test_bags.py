@@ -41,6 +41,7 @@ def test_every_kind_of_bag_is_the_same_sequence(tmp_path: Path, kind: str) -> No
     assert about["image_topic"] == "/cam/image_raw"
     assert about["groundtruth_topic"] == "/gt"
     assert Bag(path).open(width=32).image(0).shape == (16, 32, 3)
+    assert [Bag(path).open(width=width).enlargement for width in (32, 3 * sequence.camera.width)] == [1.0, 3.0]
 
 
 @pytest.mark.parametrize("kind", ["db3", "mcap"])

@@ -86,6 +86,10 @@ def test_a_video_of_two_circles(tmp_path: Path) -> None:
     assert (sequence.camera.kind, sequence.camera.width, sequence.camera.mask) == ("erp", 192, None)
     assert np.abs(sequence.image(1).astype(float) - world(192)).mean() < 5  # the codec costs some
     assert sequence.provenance()["files"] == 2
+    native = open_sequence("insta360-dual-fisheye", "walk", tmp_path).camera.width
+    assert [
+        open_sequence("insta360-dual-fisheye", "walk", tmp_path, width).enlargement for width in (native, 2 * native)
+    ] == [1.0, 2.0]
     with pytest.raises(UsageError, match="must be even"):
         open_sequence("insta360-dual-fisheye", "walk", tmp_path, 255)
     values = rig_values()

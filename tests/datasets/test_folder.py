@@ -59,6 +59,8 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["seq"]
     half = Folder(tmp_path).open(width=32)
     assert half.camera.valid_mask().shape == (16, 32)
+    assert (sequence.enlargement, half.enlargement) == (1.0, 1.0)
+    assert Folder(tmp_path).open(width=128).enlargement == 2.0
 
 
 def test_a_calibration_written_by_hand_counts_with_all_it_says(tmp_path: Path) -> None:

@@ -75,6 +75,8 @@ def test_layout_and_stamps(root: Path) -> None:
     for place in (root, folder, folder / "rosbag"):
         sequence = opened(place)
         assert (sequence.name, len(sequence)) == (NAME, 28)
+    lens = sequence.recording.contents[0].size[0]
+    assert [HiltiSequence(sequence.recording, width).enlargement for width in (lens, 4 * lens)] == [1.0, 2.0]
     (root / "floor_synthetic" / "2026-01-01" / "run_2.partial").mkdir()  # as an interrupted synthesis leaves it
     assert list(find_runs(root)) == [NAME]
     np.testing.assert_allclose(sequence.times, STAMP_SHIFT_S + np.arange(28) / RATE, atol=1e-6)

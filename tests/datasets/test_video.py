@@ -31,6 +31,8 @@ def test_frames_in_order_and_at_random_are_the_same(tmp_path: Path) -> None:
         np.testing.assert_array_equal(sequence.image(index), images[index])
     assert level(sequence.image(-1)) == 59
     assert sequence.groundtruth is None
+    width = sequence.camera.width
+    assert [Video(tmp_path / "walk.mp4").open(width=w).enlargement for w in (width // 2, 2 * width)] == [1.0, 2.0]
 
 
 def test_folder_of_videos_names_and_masks(tmp_path: Path) -> None:

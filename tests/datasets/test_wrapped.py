@@ -19,6 +19,7 @@ class Recorded(TinySequence):
 
     start_time = 12.5
     groundtruth_scaled = False
+    enlargement = 1.5
     world_up: NDArray[np.float64] = np.array([0.0, -1.0, 0.0])
 
     def frame_name(self, index: int) -> str:
@@ -42,5 +43,6 @@ def test_what_is_known_of_a_recording_is_passed_on(wrap: type[FrameSequence]) ->
     assert made.frame_name(2) == "picture-2"
     assert not made.groundtruth_scaled
     assert made.world_up is source.world_up
+    assert made.enlargement == max(1.0, 1.5 * made.camera.width / 128)
     assert "times were assumed" in made.remarks()
     assert made.groundtruth is not None

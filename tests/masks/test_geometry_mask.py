@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 import pytest
@@ -39,6 +41,12 @@ def estimate(sequence: FrameSequence) -> MaskEstimate:
     return GeometryMask().estimate(sequence)
 
 
+@lru_cache
+def found_on(name: str) -> MaskEstimate:
+    """The mask of a walk, which several tests look at."""
+    return estimate(walk(name))
+
+
 def scores(sequence: CapturedSequence, found: MaskEstimate) -> tuple[float, float]:
     """Mean share of the carrier that is hidden, and share of the sphere hidden where it never is."""
     area = sequence.camera.solid_angle() / (4 * np.pi)
@@ -55,7 +63,7 @@ def scores(sequence: CapturedSequence, found: MaskEstimate) -> tuple[float, floa
 def test_whoever_carries_the_camera_is_hidden(name: str) -> None:
     sequence = walk(name)
     assert isinstance(sequence, CapturedSequence)
-    found = estimate(sequence)
+    found = found_on(name)
     recall, wrongly = scores(sequence, found)
     assert found.ok
     assert len(found.details["pairs"]) > 5  # five left half a face unhidden that turns
@@ -135,7 +143,7 @@ def test_what_is_lost_once_it_is_followed_is_hidden_where_it_was(monkeypatch: py
 
 
 def test_who_only_sways_gets_one_mask_for_all_frames() -> None:
-    found = estimate(walk("tiny+operator-15"))
+    found = found_on("tiny+operator-15")
     assert not found.frames
     assert found.whole is None
 

@@ -57,6 +57,19 @@ def test_a_second_method_whose_features_do_not_fit_its_path_only_fails_to_confir
     assert assess(Estimate(walk()), 60, others={"sparse": Estimate(walk(), frames=rows)}).word is Word.TRUSTED
 
 
+def test_pixels_of_an_enlarged_recording_are_counted_as_they_were_recorded() -> None:
+    def judged(error_px: float, enlargement: float, width: int = 512) -> Word:
+        rows = {i: {"error_px": error_px} for i in range(60)}
+        run = Estimate(walk(), frames=rows, extra={"pixels_per_radian": width / (2 * np.pi)})
+        return assess(run, 60, enlargement=enlargement).word
+
+    assert judged(1.4, 1.0) is Word.DOUBTFUL
+    assert judged(1.4, 2.0) is Word.TRUSTED  # 0.7 pixels of a video of 256
+    assert judged(2.8, 2.0) is Word.DOUBTFUL
+    assert judged(2.8, 2.0, width=2048) is Word.TRUSTED  # a fine image, enlarged or not, has more pixels to be off by
+    assert judged(2.8, 1.0, width=2048) is Word.TRUSTED
+
+
 def test_the_second_methods_world_and_scale_do_not_matter() -> None:
     other = walk(noise=0.0005, seed=1)
     moved = Sim3(3.0, so3_exp(np.array([0.1, 2.0, 0.3])), np.array([1.0, 2.0, 3.0])).apply_poses(other.T_wc)

@@ -246,13 +246,15 @@ def _verdict(
     others: dict[str, Estimate] = {}
     if check is not None and tracked.status is RunStatus.OK and len(estimate.trajectory):
         hidden = ~setup.sequence.camera.valid_mask()
-        found = check_estimate(request, check, tracked.given, folder, log, observer, hidden)
-        if found is not None:
-            others[check] = found
+        opinion = check_estimate(request, check, tracked.given, folder, log, observer, hidden)
+        if opinion is not None:
+            others[check] = opinion
     ended_badly = tracked.status not in (RunStatus.OK, RunStatus.INTERRUPTED)
     rejected = f"{tracked.status.value}: {tracked.message}" if ended_badly else ""
     not_rigid = ((mask and mask.details) or {}).get(NOT_RIGID, 0.0)
-    return VerdictRecord.of(assess(estimate, tracked.given, scores.metrics, others, rejected, not_rigid), check)
+    enlargement = setup.sequence.enlargement
+    found = assess(estimate, tracked.given, scores.metrics, others, rejected, not_rigid, enlargement)
+    return VerdictRecord.of(found, check)
 
 
 def _seed(seed: int) -> None:

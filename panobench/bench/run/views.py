@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.cameras.footprint import enlarged_remark
 from panobench.cameras.rig import Rig, seen_in_panorama
 from panobench.datasets.base import FrameSequence
 from panobench.datasets.files.truth import truth_remarks
@@ -92,6 +93,10 @@ class ChosenFrames(FrameSequence):
         return self._inner.image(self.original(index))
 
     @property
+    def enlargement(self) -> float:
+        return self._inner.enlargement
+
+    @property
     def start_time(self) -> float:
         return self._inner.start_time
 
@@ -135,7 +140,7 @@ class ChosenFrames(FrameSequence):
         return self._inner.novel_views()
 
     def remarks(self) -> list[str]:
-        return [*self._inner.remarks(), *truth_remarks(self)]
+        return [*self._inner.remarks(), *enlarged_remark(self.enlargement, self.camera), *truth_remarks(self)]
 
     def provenance(self) -> dict[str, Any]:
         return self._inner.provenance()

@@ -61,6 +61,10 @@ class BagSequence(FrameSequence):
         return resize_image(rgb, self.camera.width, self.camera.height)
 
     @property
+    def enlargement(self) -> float:
+        return max(1.0, self.camera.width / self.source.native.width)
+
+    @property
     def groundtruth(self) -> Trajectory | None:
         return self._truth
 

@@ -147,8 +147,8 @@ class DualFisheyeSequence(FrameSequence):
         apart = rig.rig.baseline_m > 0
         self._lenses = rig
         self._stitcher = Stitcher(rig.rig, camera, rig.blend_deg, _STITCHED_AT_M if apart else None)
-        full = parse_camera_option("erp", rig.lenses[0].camera, None).camera.width
-        self._rig = rig.rig.scaled(min(1.0, camera.width / full)) if apart else None
+        self._full = parse_camera_option("erp", rig.lenses[0].camera, None).camera.width
+        self._rig = rig.rig.scaled(min(1.0, camera.width / self._full)) if apart else None
         self.camera = camera if self._stitcher.valid.all() else camera.with_mask(self._stitcher.valid)
         self.name, self.dataset = name, "insta360-dual-fisheye"
         self.times = self.reader.times
@@ -167,6 +167,10 @@ class DualFisheyeSequence(FrameSequence):
 
     def image(self, index: int) -> NDArray[np.uint8]:
         return self._stitcher.image(self._lenses.pictures(self.reader.read(range(len(self))[index])))
+
+    @property
+    def enlargement(self) -> float:
+        return max(1.0, self.camera.width / self._full)
 
     def remarks(self) -> list[str]:
         return video_remarks(self.reader)

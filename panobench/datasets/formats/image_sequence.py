@@ -113,6 +113,10 @@ class ImageSequence(FrameSequence):
         return layout.unpack(resize_image(image, *layout.picture_size(expected, size)), size)
 
     @property
+    def enlargement(self) -> float:
+        return max(1.0, self.camera.width / self.source.native.width)
+
+    @property
     def start_time(self) -> float:
         return self.source.start_time
 

@@ -48,6 +48,10 @@ class VideoSequence(FrameSequence):
     def image(self, index: int) -> NDArray[np.uint8]:
         return self.pictures.read(range(len(self))[index], (self.camera.width, self.camera.height))
 
+    @property
+    def enlargement(self) -> float:
+        return max(1.0, self.camera.width / self.native.width)
+
     def remarks(self) -> list[str]:
         return [*video_remarks(self.pictures.video), *self.pictures.remarks(), *self.mask.remarks]
 

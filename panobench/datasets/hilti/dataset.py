@@ -111,6 +111,10 @@ class HiltiSequence(FrameSequence):
         return self._stitcher.image(self.lens_images(index))
 
     @property
+    def enlargement(self) -> float:
+        return max(1.0, self._rig.lenses[0].camera.width / self.recording.contents[0].size[0])
+
+    @property
     def groundtruth(self) -> Trajectory | None:
         return self._truth
 

@@ -99,9 +99,17 @@ class ConvertedSequence(WrappedSequence):
     def _view_maps(self) -> dict[tuple[int, int], Reprojector]:
         return {}
 
-    def remarks(self) -> list[str]:
+    @property
+    def enlargement(self) -> float:
+        return self._enlargement
+
+    @cached_property
+    def _enlargement(self) -> float:
         r = self.reprojector
-        said = enlarged_remark(r.source, r.target, r.R_target_source) or narrow_remark(r.source, self.camera)
+        return max(1.0, self.source.enlargement * enlargement(r.source, r.target, r.R_target_source))
+
+    def remarks(self) -> list[str]:
+        said = [] if self.enlargement > ENLARGED else narrow_remark(self.source.camera, self.camera)
         return [*self.source.remarks(), *said]
 
     def provenance(self) -> dict[str, Any]:
@@ -115,15 +123,6 @@ class ConvertedSequence(WrappedSequence):
                 "source_shrunk_by": self.reprojector.sampling.shrink,
             },
         }
-
-
-def enlarged_remark(source: Camera, target: Camera, R_target_source: NDArray[np.float64]) -> list[str]:
-    """A line that says how much images are enlarged on their way to another camera; none if they hardly are."""
-    factor = enlargement(source, target, R_target_source)
-    if factor <= ENLARGED:
-        return []
-    size = f"{source.width}x{source.height} to {target.kind} {target.width}x{target.height}"
-    return [f"images are enlarged {factor:.1f} times or more ({size}), which blurs them; give a smaller --width"]
 
 
 def narrow_remark(source: Camera, target: Camera) -> list[str]:
