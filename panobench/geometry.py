@@ -187,6 +187,12 @@ def umeyama(source: ArrayLike, target: ArrayLike, with_scale: bool = True) -> Si
     return Sim3(scale, R, mq - scale * R @ mp)
 
 
+def distances_along(points: ArrayLike) -> Array:
+    """(N,): how far each of points (N, D) lies along the line through them, from the first; the last is its length."""
+    steps = np.linalg.norm(np.diff(np.asarray(points, dtype=np.float64), axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
 def directions_from_lonlat(lon: ArrayLike, lat: ArrayLike) -> Array:
     """Longitude, latitude (...) in radians -> unit rays (..., 3): lon = atan2(x, z), lat = atan2(-y, hypot(x, z))."""
     lon, lat = np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)

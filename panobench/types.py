@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from panobench.geometry import distances_along
+
 if TYPE_CHECKING:
     from panobench.cameras.base import Camera
 
@@ -71,9 +73,7 @@ class Trajectory:
 
     def path_length(self) -> float:
         """Sum of the distances between consecutive positions, metres."""
-        if len(self) < 2:
-            return 0.0
-        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+        return float(distances_along(self.positions)[-1])
 
     def select(self, index: NDArray[Any] | list[int]) -> Trajectory:
         """The poses at ``index`` (any numpy index)."""

@@ -140,6 +140,11 @@ def test_longitude_and_latitude_follow_the_convention() -> None:
     assert back[1] == pytest.approx(lat)
 
 
+def test_distances_along_a_line_add_up() -> None:
+    assert g.distances_along([[0, 0, 0], [3, 4, 0], [3, 4, 0], [3, 4, 2]]).tolist() == [0, 5, 5, 7]
+    assert g.distances_along(np.empty((0, 3))).tolist() == [0]
+
+
 def test_fibonacci_directions_are_even() -> None:
     d = g.fibonacci_sphere(2000)
     assert np.linalg.norm(d, axis=1) == pytest.approx(1.0)

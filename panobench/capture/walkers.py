@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from panobench.capture.person import Looks, Posture, person
 from panobench.capture.solids import Solids, joined
+from panobench.geometry import distances_along
 from panobench.rooms.mesh import Mesh
 from panobench.rooms.trace import clearances
 
@@ -95,7 +96,7 @@ class Floor:
 
 def _even(p: Array, step: float) -> Array:
     """A polyline (N, 2) at even distances along it."""
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    s = distances_along(p)
     at = np.arange(0.0, s[-1] + step, step)
     return np.column_stack([np.interp(at, s, p[:, k]) for k in range(2)])
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.cameras.base import Camera
-from panobench.geometry import invert_pose, renormalise
+from panobench.geometry import distances_along, invert_pose, renormalise
 from panobench.photometric.align import align, mean_cost
 from panobench.photometric.bundle import refine
 from panobench.photometric.pyramid import F32
@@ -64,8 +64,7 @@ class Solution:
 def spread_over_path(T_fr: list[Pose], most: int) -> NDArray[np.intp]:
     """At most ``most`` frames after the first, evenly spaced along the path: rotating frames show no depth."""
     centres = np.stack([-T[:3, :3].T @ T[:3, 3] for T in T_fr])
-    steps = np.linalg.norm(np.diff(centres, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
+    along = distances_along(centres)
     n = len(T_fr)
     if n - 1 <= most or along[-1] <= 0:
         return np.unique(np.linspace(1, n - 1, min(most, n - 1)).round().astype(np.intp))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import umeyama
+from panobench.geometry import distances_along, umeyama
 from panobench.metrics.base import MIN_TRACKED
 from panobench.types import Trajectory
 from panobench.verdict.base import Evidence, falling
@@ -125,7 +125,7 @@ def second_method(
 
 def path_deviation(p: NDArray[np.float64], q: NDArray[np.float64]) -> float | None:
     """RMS distance of positions p, q (N, 3) after Sim(3) alignment over q's path length; None if q does not move."""
-    length = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
+    length = float(distances_along(q)[-1])
     if length <= 0 or float(np.ptp(q, axis=0).max()) < 1e-9 or float(np.ptp(p, axis=0).max()) < 1e-9:
         return None
     fit = umeyama(p, q)

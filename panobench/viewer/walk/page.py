@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from panobench.errors import UsageError
-from panobench.geometry import quaternion_from_matrix
+from panobench.geometry import distances_along, quaternion_from_matrix
 from panobench.splat.gaussians import GaussianMap
 from panobench.writing import write_whole
 
@@ -141,7 +141,7 @@ def _about(walk: Walk, gaussians: GaussianMap) -> dict[str, Any]:
     level = float(np.median(eyes @ up))
     top = float(np.quantile(heights, 0.98)) if len(heights) else level
     line = eyes[np.unique(np.linspace(0, len(eyes) - 1, min(len(eyes), LINE)).round().astype(int))]
-    length = float(np.linalg.norm(np.diff(eyes, axis=0), axis=1).sum())
+    length = float(distances_along(eyes)[-1])
     unit = max(float(np.quantile(away, 0.5)), 1e-3)
     return {
         "count": len(gaussians),

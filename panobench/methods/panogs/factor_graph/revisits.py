@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import invert_pose, renormalise
+from panobench.geometry import distances_along, invert_pose, renormalise
 from panobench.methods.panogs.config import RevisitOptions
 from panobench.methods.panogs.factor_graph.recognition import Recogniser, Way, drift_of
 from panobench.methods.panogs.trajectory import AnchoredTrajectory, Correction
@@ -249,7 +249,7 @@ def between(trajectory: AnchoredTrajectory, indices: list[int], before: Pose, af
 
 def stretches(before: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
     """(N,): by which the way around each of N positions (N, 3) has grown, over a few of them on either side."""
-    ways = [np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))) for p in (before, after)]
+    ways = [distances_along(p) for p in (before, after)]
     n = np.arange(len(before))
     lo, hi = np.maximum(n - AROUND, 0), np.minimum(n + AROUND, len(before) - 1)
     own, new = (way[hi] - way[lo] for way in ways)

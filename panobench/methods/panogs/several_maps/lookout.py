@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from panobench.geometry import Sim3
+from panobench.geometry import Sim3, distances_along
 from panobench.methods.panogs.config import PanogsConfig
 from panobench.methods.panogs.localise import Localiser
 from panobench.methods.panogs.method import PanogsMethod, Phase
@@ -81,6 +81,6 @@ class Lookout:
         if motion is None or self.cut or not indices:
             return motion
         way = motion.apply_points([other.trajectory[index][:3, 3] for index in indices])
-        length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+        length = float(distances_along(way)[-1])
         near = nearby(self.map, indices[0] - self.last) + DRIFT * length
         return motion if np.linalg.norm(way[0] - self.map.trajectory[self.last][:3, 3]) <= near else None
