@@ -38,23 +38,19 @@ def assess(
         path.second_method(estimate.trajectory, e.trajectory, name, given, unsure=_unsure(e, enlargement))
         for name, e in asked.items()
     ]
-    agreeing = [
-        e.trajectory
-        for e, opinion in zip(asked.values(), opinions)
-        if opinion is not None and opinion.trust > CONFIRMED
-    ]
+    agreeing = [e for e, opinion in zip(asked.values(), opinions) if opinion is not None and opinion.trust > CONFIRMED]
     agreement = own.agreement(estimate)
     agrees = agreement is not None and agreement.trust == 1.0
     found: list[Evidence | None] = [
         path.coverage(len(estimate.trajectory), given),
-        path.steadiness(estimate.trajectory, agreeing),
+        path.steadiness(estimate.trajectory, [e.trajectory for e in agreeing]),
         own.first_depth(estimate, confirmed=bool(agreeing)),
         agreement,
         own.reprojection(estimate, enlargement),
         own.rigid_scene(not_rigid),
         steady_height(estimate),
         own.inertial(estimate),
-        own.joined_maps(estimate),
+        own.joined_maps(estimate, followed=any(_unbroken(e, given) for e in agreeing)),
         own.map_pictures(metrics or {}, moving=estimate.extra.get("moving") is True, agrees=agrees),
     ]
     doubts_itself = any(e is not None and e.trust < TRUSTED for e in found)
@@ -64,6 +60,12 @@ def assess(
     verdict = decide([e for e in found if e is not None])
     better = _better(asked, given, enlargement) if doubts_itself and not not_rigid else None
     return verdict if better is None else replace(verdict, advice=(better, *verdict.advice))
+
+
+def _unbroken(other: Estimate, given: int) -> bool:
+    """Whether a method says that it followed the camera through all frames, in one map, and never looked for it."""
+    whole = path.coverage(len(other.trajectory), given).trust == 1.0
+    return whole and other.extra.get("maps") == 1 and other.extra.get("relocalised") == 0
 
 
 def _better(asked: Mapping[str, Estimate], given: int, enlargement: float) -> str | None:

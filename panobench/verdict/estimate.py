@@ -20,8 +20,9 @@ PSNR_MOVING = 4.0
 PSNR_LEAST_AGREEING = 0.6
 #: Trust in a path that the IMU contradicts: a wrong mounting is as likely as a wrong path.
 CONTRADICTED = 0.4
-#: Trust in a path whose parts were put together by looks alone.
-BY_LOOKS = 0.4
+#: Trust in a path whose parts were put together by looks alone; the same where a second method that agrees has followed
+#: the camera all the way.
+BY_LOOKS, BY_LOOKS_FOLLOWED = 0.4, 0.9
 #: Trust in a path where most of the view does not move as a rigid scene: all methods may follow the rest, or that.
 NOT_RIGID = 0.4
 #: Median share of textured blocks in which frame and render agree.
@@ -75,13 +76,16 @@ def inertial(estimate: Estimate) -> Evidence | None:
     return Evidence("inertial", 1.0, f"the IMU was no help: {said.get('reason', '')}")
 
 
-def joined_maps(estimate: Estimate) -> Evidence | None:
-    """Whether parts of the path hang together by looks alone (``extra`` "joined_by_looks"): places may look alike."""
+def joined_maps(estimate: Estimate, *, followed: bool = False) -> Evidence | None:
+    """Whether parts of the path hang together by looks alone (``extra`` "joined_by_looks"): places may look alike.
+
+    followed: a second method has followed the camera without a break, and its path agrees.
+    """
     joined = estimate.extra.get("joined_by_looks")
     if not isinstance(joined, int) or not joined:
         return None
     return Evidence(
-        "joined maps", BY_LOOKS,
+        "joined maps", BY_LOOKS_FOLLOWED if followed else BY_LOOKS,
         f"after {'a cut' if joined == 1 else f'{joined} cuts'} the path goes on where the place looked the same, "
         "and places may look alike",
         "run the parts before and after the cut apart",

@@ -219,6 +219,24 @@ def test_a_path_that_hangs_together_by_looks_alone_is_a_doubt() -> None:
     assert assess(Estimate(walk(), extra={"maps": 1, "joined": 1, "joined_by_looks": 0}), 60).word is Word.TRUSTED
 
 
+@pytest.mark.parametrize(
+    ("said", "word"),
+    [
+        ({"maps": 1, "relocalised": 0}, Word.TRUSTED),
+        ({"maps": 1, "relocalised": 1}, Word.DOUBTFUL),  # by looks, too
+        ({"maps": 2, "relocalised": 0}, Word.DOUBTFUL),
+        ({}, Word.DOUBTFUL),
+    ],
+)
+def test_it_is_none_where_another_method_has_followed_the_camera(said: dict[str, int], word: Word) -> None:
+    joined = Estimate(walk(), extra={"maps": 1, "joined": 1, "joined_by_looks": 1})
+    assert assess(joined, 60, others={"sparse": Estimate(walk(noise=0.0005), extra=dict(said))}).word is word
+    bent = walk().T_wc.copy()
+    bent[:, 0, 3] += 0.15 * walk().times ** 2
+    other = Estimate(Trajectory(walk().times, bent), extra=dict(said))
+    assert assess(joined, 60, others={"sparse": other}).word is not Word.TRUSTED
+
+
 def test_where_a_run_doubts_itself_a_method_that_does_not_is_advised() -> None:
     lost = Estimate(Trajectory(walk().times[:20], walk().T_wc[:20]))
     asked = {"sparse": Estimate(walk(), frames={i: {"error_px": 0.3} for i in range(60)})}
